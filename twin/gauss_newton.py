@@ -280,10 +280,16 @@ class FitProblem:
 
     def jacobian(self, v: Array) -> Array:
         """Return derivatives (n, m, q + k) of the readings at v (q + k,), unweighted, of a record in one segment."""
+        return self.readings_and_derivatives(v)[:, :, 1:]
+
+    def readings_and_derivatives(self, v: Array) -> Array:
+        """Return readings and their derivatives (n, m, 1 + q + k) at v (q + k,), of a record in one segment."""
         steps = self._lanes(v)
         traced, _ = self.kernel.trace(self._full, self._begun(v, 0, self._rest), self.data.time, self.data.inputs)
-        derivatives: Array = np.moveaxis((traced[1:] - traced[0]) / steps[:, None, None], 0, 2)
-        return derivatives
+        found = np.moveaxis(traced, 0, 2).copy()
+        found[:, :, 1:] -= found[:, :, :1]
+        found[:, :, 1:] /= steps
+        return found
 
     def _own(self, i: int) -> np.ndarray:
         """Return the positions in v on which segment i depends."""

@@ -11,6 +11,7 @@ BENCHMARKS = {
     "twin": "One ten-minute window of the coolant loop: our kernel, scipy, numpy, torch, jax, C",
     "fit": "The same windows fitted by our calibrators and by other people's optimisers",
     "paper": "The experiments of Energies 2026, 19, 2452, with its figures",
+    "posterior": "Intervals of the calibrators against a posterior by Markov chain Monte Carlo",
     "hiera": "Calibrators on unseen rigs: swarm, least squares, filter, network",
     "ablations": "Ablations of the network, each with the same CPU time of training",
     "discovery": "Blind trial of the diagnosis: hidden effects, sealed answers",

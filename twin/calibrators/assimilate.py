@@ -7,7 +7,8 @@ import numpy as np
 from twin.kernel import compile_kernel
 
 _SOURCE = '''
-@typed('void(f8[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[:,::1])')
+@typed('void(f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], '
+       'f8[::1], f8[:,::1])')
 def kernel(jacobian, predicted, measured, variance, estimate, covariance, filtered, spread, found, work):
     """Rows of `work`: the gain, and the covariance of the estimate with the reading. A reading counts if finite."""
     size = jacobian.shape[2]
@@ -15,7 +16,7 @@ def kernel(jacobian, predicted, measured, variance, estimate, covariance, filter
         for j in range(jacobian.shape[1]):
             y = measured[i, j]
             if y - y == 0.0:
-                error, expected = y - predicted[i, j], variance[j]
+                error, expected = y - predicted[i, j], variance[i, j]
                 for a in range(size):
                     error -= jacobian[i, j, a] * estimate[a]
                     s = 0.0
@@ -73,7 +74,7 @@ def assimilate(
     measured
         (n, m), NaN where masked.
     variance
-        (m,).
+        (n, m), or (m,) for all samples.
     estimate, covariance
         (N,) and (N, N), updated in place.
     filtered, spread
@@ -85,6 +86,7 @@ def assimilate(
         Sum of the normalised innovations squared, and their number.
     """
     found, work = np.zeros(2), np.empty((2, jacobian.shape[2]))
+    variance = np.broadcast_to(variance, measured.shape)
     given = [np.ascontiguousarray(a, dtype=np.float64) for a in (jacobian, predicted, measured, variance)]
     compile_kernel(_SOURCE)(*given, estimate, covariance, filtered, spread, found, work)
     return float(found[0]), int(found[1])

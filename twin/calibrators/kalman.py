@@ -30,17 +30,22 @@ import numpy as np
 from twin.calibrators.assimilate import assimilate
 from twin.calibrators.base import Calibration, FilteredReadings, Window, from_json, normalised_misfit, to_json
 from twin.calibrators.identifiability import window_information
-from twin.calibrators.posterior import WindowPosterior, WindowPrior, fit_window, limit_covariance, window_data
+from twin.calibrators.posterior import (
+    ParameterBelief,
+    WindowPosterior,
+    WindowPrior,
+    fit_window,
+    limit_covariance,
+    window_data,
+)
 from twin.calibrators.results import CalibrationReport, WindowFit, fitted_calibration
-from twin.calibrators.structural_error import HeldParameters, structural_covariance
+from twin.calibrators.structural_error import error_size, persistent_error_covariance, sample_sd
 from twin.gauss_newton import FitProblem, Linearisation, Scaling
 from twin.kernel import Kernel
 from twin.network import Array, Network
 
 RENEW_S = 30.0
 """Length of a filter segment between linearisations, s."""
-FIRST_SHARE = 0.3
-"""Width of the first prior, around the commissioned values, as a share of the plausible range."""
 QUIET_SHARE = 0.02
 """Random walk of the parameters in 600 s, as a share of the plausible range."""
 WALK_J = 10.0
@@ -132,8 +137,7 @@ class KalmanFilter:
         self._wide = self._scaling.prior_sd()
         q, k = len(self.ids), len(network.nodes)
         self._steps = np.concatenate([np.full(q, _STEP), np.full(k, _STATE_STEP)])
-        self._mean = self._scaling.to_z(network.values[self._scaling.index])
-        self._covariance = np.diag((FIRST_SHARE * self._wide) ** 2)
+        self._parameters = ParameterBelief(network, self._scaling)
         capacitance = network.index(f"{node}.capacitance" for node in network.nodes)
         self._capacitance = np.maximum(network.values[capacitance], 1.0)
         self._piece: _FilterSegment | None = None
@@ -145,8 +149,8 @@ class KalmanFilter:
         if self._piece is None:
             q, k = len(self.ids), len(self.network.nodes)
             covariance = np.diag(np.full(q + k, FIRST_STATE_K**2))
-            covariance[:q, :q] = self._covariance
-            w = self._bounded.to_w(self._mean)
+            covariance[:q, :q] = self._parameters.covariance
+            w = self._bounded.to_w(self._parameters.mean)
             self._piece = self._new_piece(w, state, float(time[0]), inputs[0], covariance)
         while at < time.size:
             piece = self._piece
@@ -173,8 +177,9 @@ class KalmanFilter:
         lanes = np.moveaxis(traced, 0, 2)[1:]
         centre = np.ascontiguousarray(lanes[:, :, 0])
         jacobian = (lanes[:, :, 1:] - centre[:, :, None]) / self._steps
+        gap = np.diff(times)
+        variance = sample_sd(self.network, np.where(gap > 0.0, gap, np.inf)) ** 2
         piece.time, piece.inputs = float(time[-1]), inputs[-1].copy()
-        variance = self.network.sigma**2
         total, count = assimilate(jacobian, centre, measured, variance, piece.deviation, piece.covariance, *out)
         piece.surprise += total
         piece.count += count
@@ -211,7 +216,7 @@ class KalmanFilter:
             drift = drift + (FIRST_STATE_K * surprise) ** 2
         covariance = transition @ piece.covariance @ transition.T
         covariance += np.diag(np.concatenate([walk, drift]))
-        widest = np.concatenate([self._wide, np.full(k, WIDEST_STATE_K)])
+        widest = np.concatenate([self._parameters.widest(self._bounded.to_z(w)), np.full(k, WIDEST_STATE_K)])
         factor = np.minimum(widest / np.sqrt(np.diag(covariance)), 1.0)
         covariance = 0.5 * (covariance + covariance.T) * np.outer(factor, factor)
         return self._new_piece(np.clip(w, *self._bounded.limits), state, piece.time, piece.inputs, covariance)
@@ -228,16 +233,11 @@ class KalmanFilter:
         again = self._again(window, missed) if cost > SURPRISE and missed > SURPRISE else None
         if again is not None and np.sqrt(again.fit.sse.sum()) < np.sqrt(fitted.sse.sum()):
             self._restart(window, again)
-            held = HeldParameters.of(again)
-            lasts = structural_covariance(
-                self._problem(window), again.fit.v, again.fit.normal, held, window, self._wide, again.chi
-            )
-            again = replace(again, covariance=limit_covariance(again.covariance + lasts, self._wide))
             report = again.report(self._scaling)
             report = replace(report, flags=("filter started again from a fit of the window", *report.flags))
             cost, v, fitted = float(np.sqrt(again.chi)), again.fit.v, again.fit.data
         else:
-            report = self._report(window, cost, v, fitted)
+            report = self._report(window, v, fitted)
         self._remember()
         assert self._piece is not None
         w, end, _ = self._now(self._piece)
@@ -251,10 +251,14 @@ class KalmanFilter:
         that fails.
         """
         opened = min(OPENING * (missed - 1.0), 1.0)
-        covariance = self._covariance + np.diag((opened * self._wide) ** 2)
-        prior = WindowPrior(self._mean, covariance, window.state)
-        done = fit_window(self.kernel, self._scaling, self.network.sigma, window, prior)
-        return done if np.isfinite(done.fit.cost) and np.isfinite(done.covariance).all() else None
+        belief = self._parameters
+        covariance = belief.covariance + np.diag((opened * self._wide) ** 2)
+        weight, noise = belief.weight(window)
+        prior = WindowPrior(belief.mean, covariance, window.state)
+        done = fit_window(self.kernel, self._scaling, weight, window, prior, noise=noise)
+        if not (np.isfinite(done.fit.cost) and np.isfinite(done.covariance).all()):
+            return None
+        return replace(done, covariance=belief.limited(done.covariance, done.fit.v[: len(self.ids)]))
 
     def _restart(self, window: Window, done: WindowPosterior) -> None:
         """Restart the filter from a fit of the window."""
@@ -262,7 +266,7 @@ class KalmanFilter:
         w = np.clip(self._bounded.to_w(done.fit.v[:q]), *self._bounded.limits)
         slope = self._bounded.slope(w)
         covariance = np.diag(np.full(q + k, FIRST_STATE_K**2))
-        covariance[:q, :q] = limit_covariance(done.covariance / np.outer(slope, slope), self._wide)
+        covariance[:q, :q] = done.covariance / np.outer(slope, slope)
         end = float(window.time[-1])
         self._piece = self._new_piece(w, done.fit.data.end, end, window.inputs[-1], covariance)
 
@@ -272,29 +276,46 @@ class KalmanFilter:
         q = len(self.ids)
         w = self._now(self._piece)[0]
         slope = self._bounded.slope(w)
-        self._mean = self._bounded.to_z(w)
-        self._covariance = self._piece.covariance[:q, :q] * np.outer(slope, slope)
+        self._parameters.mean = self._bounded.to_z(w)
+        self._parameters.covariance = self._piece.covariance[:q, :q] * np.outer(slope, slope)
 
-    def _report(self, window: Window, cost: float, v: Array, fitted: Linearisation) -> CalibrationReport:
-        """Return the report; its covariance includes the twin's structural error, the filter's own covariance does
-        not.
-        """
+    def _report(self, window: Window, v: Array, fitted: Linearisation) -> CalibrationReport:
+        """Return the report, after the effect of the twin's structural error was added to the filter's covariance."""
         assert self._piece is not None
         q, scaling = len(self.ids), self._scaling
         w = self._now(self._piece)[0]
         values = self._values(w)
         info = window_information(fitted.jtj, self._wide)
         names = [i for i, hit in zip(self.ids, info.unidentifiable, strict=True) if hit]
-        none = HeldParameters(np.zeros(q, dtype=bool), np.zeros(q))
-        lasts = structural_covariance(self._problem(window), v, fitted.jtj, none, window, self._wide, max(cost**2, 1.0))
         bounded, slope = self._bounded.slope(w), scaling.slope(values)
+        whole = self._piece.covariance
+        whole[:q, :q] += self._structural_error(window, v) / np.outer(bounded, bounded)
+        widest = np.concatenate(
+            [self._parameters.widest(self._bounded.to_z(w)) / bounded, np.full(len(whole) - q, np.inf)]
+        )
+        self._piece.covariance = limit_covariance(whole, widest)
         known = self._piece.covariance[:q, :q] * np.outer(bounded, bounded)
         return CalibrationReport(
-            covariance=limit_covariance(known + lasts, self._wide) * np.outer(slope, slope),
+            covariance=known * np.outer(slope, slope),
             flags=tuple(f"{i} is not identifiable by itself: its value comes from earlier windows" for i in names),
             window_errors=info.window_errors(scaling, values),
             condition=info.condition,
         )
+
+    def _structural_error(self, window: Window, v: Array) -> Array:
+        """Return the covariance (q, q) in z that the twin's structural error in a window adds to the parameters.
+
+        The filter's gain over the window is that of a fit with the same prior and weights.
+        """
+        q, belief = len(self.ids), self._parameters
+        data = window_data(window, belief.weight(window)[0])
+        problem = FitProblem(self.kernel, self._scaling, window.parameters, data, window.state)
+        precision = problem.linearise(v).jtj
+        precision[:q, :q] += np.linalg.inv(belief.covariance)
+        precision[q:, q:] += np.eye(v.size - q) * max(window.error_K, LEAST_STATE_K) ** -2
+        gain = np.asarray(np.linalg.inv(precision))
+        found: Array = persistent_error_covariance(problem, v, gain, error_size(window, self.network))[:q, :q]
+        return found
 
     def _problem(self, window: Window) -> FitProblem:
         data = window_data(window, self.network.sigma)
@@ -320,8 +341,8 @@ class KalmanFilter:
         """Return everything needed to continue, as plain data."""
         piece = self._piece
         return {
-            "mean": self._mean.tolist(),
-            "covariance": self._covariance.tolist(),
+            "mean": self._parameters.mean.tolist(),
+            "covariance": self._parameters.covariance.tolist(),
             "piece": None
             if piece is None
             else {k: to_json(getattr(piece, k)) for k in _ARRAYS} | {k: getattr(piece, k) for k in _NUMBERS},
@@ -329,7 +350,7 @@ class KalmanFilter:
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Continue from a saved `state`."""
-        self._mean, self._covariance = from_json(state["mean"]), from_json(state["covariance"])
+        self._parameters.mean, self._parameters.covariance = from_json(state["mean"]), from_json(state["covariance"])
         self._piece, piece = None, state["piece"]
         if piece is not None:
             entries: dict[str, Any] = {k: from_json(piece[k]) for k in _ARRAYS}

@@ -9,16 +9,15 @@ in docs/decisions/0003-swarm-window-logic.md. A whole swarm is one call of the k
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from twin.calibrators.base import Calibration, Window, from_json, to_json
 from twin.calibrators.identifiability import WindowInformation, window_information
-from twin.calibrators.posterior import WindowPrior, fit_window, limit_covariance, window_data
+from twin.calibrators.posterior import Descent, ParameterBelief, fit_window, window_data
 from twin.calibrators.results import WindowFit, fitted_calibration
-from twin.calibrators.structural_error import HeldParameters, structural_covariance
 from twin.gauss_newton import FitData, FitProblem, Scaling, fit_initial_state
 from twin.kernel import Kernel, mask_measurements
 from twin.network import Array, Network, TunableSet, TwinFileError
@@ -125,6 +124,7 @@ class ParticleSwarm:
         self.ids = network.tunables(tunables)
         self.kernel = Kernel(network, self.ids)
         self._scaling = Scaling.of(network, self.ids)
+        self._parameters = ParameterBelief(network, self._scaling)
         self._space = _OwnRange(network, self.ids) if settings.own_range else _Normalised(network, tunables)
         self._rng = np.random.default_rng(seed)
         self.last: tuple[Array, Array, Array] = (np.zeros(0), np.zeros((0, 0)), np.zeros(0))
@@ -185,22 +185,17 @@ class ParticleSwarm:
         """Return the calibration at the swarm's best position; a polished swarm descends from there first."""
         values, start = self._space.values(best), cost.start(best)
         if self.settings.polish:
-            scaling = self._scaling
-            mean, prior = scaling.to_z(values), np.diag(scaling.prior_sd() ** 2)
-            sigma = self.network.sigma
-            done = fit_window(
-                self.kernel, scaling, sigma, window, WindowPrior(mean, prior, start), info=info, most=POLISH
-            )
+            belief, state = self._parameters, start[: len(self.network.nodes)]
+            descent = Descent(np.concatenate([self._scaling.to_z(values), state]), POLISH)
+            weight, noise = belief.weight(window)
+            given = (self.kernel, self._scaling, weight, window, belief.before(window))
+            done = belief.take(fit_window(*given, info=info, noise=noise, descent=descent))
             if np.isfinite(done.fit.cost):
-                problem = FitProblem(self.kernel, scaling, window.parameters, window_data(window, sigma), start)
-                wide, held = scaling.prior_sd(), HeldParameters.of(done)
-                lasts = structural_covariance(problem, done.fit.v, done.fit.normal, held, window, wide, done.chi)
-                report = replace(done, covariance=limit_covariance(done.covariance + lasts, wide)).report(scaling)
                 self._best = self._space.positions(done.fit.values)
                 self.last = (window.time, window.inputs, done.fit.state)
                 evaluations = cost.evaluations + done.fit.evaluations * (1 + done.fit.v.size)
                 result = WindowFit.of(done.fit, float(np.sqrt(done.chi)), evaluations)
-                return fitted_calibration(self.network, window, self.ids, result, report)
+                return fitted_calibration(self.network, window, self.ids, result, done.report(self._scaling))
         readings, end = self.kernel.trace(cost.full(best[None]), start, window.time, window.inputs)
         result = WindowFit(values, start, readings[0], end[0], best_cost, cost.evaluations + 1)
         return fitted_calibration(self.network, window, self.ids, result, info.report(self._scaling, values))
@@ -228,6 +223,10 @@ class ParticleSwarm:
             nudge = self._rng.uniform(-1.0, 1.0, (settings.particles, q)) * settings.perturbation
             self._positions = np.clip(self._positions + nudge, space.lower, space.upper)
 
+    def positions(self, values: Array) -> Array:
+        """Return positions (..., q) of physical values (..., q)."""
+        return self._space.positions(values)
+
     def follows(self, window: Window) -> bool:
         """Return True if `last` (time, inputs, state at its first sample) is the window just before this one."""
         return self._last_number == window.number - 1
@@ -236,6 +235,7 @@ class ParticleSwarm:
         """Return everything needed to continue, as plain data."""
         return {
             "rng": self._rng.bit_generator.state,
+            "belief": [self._parameters.mean.tolist(), self._parameters.covariance.tolist()],
             "best": self._best.tolist(),
             "positions": None if self._positions is None else self._positions.tolist(),
             "velocities": self._velocities.tolist(),
@@ -245,6 +245,7 @@ class ParticleSwarm:
     def restore(self, state: Mapping[str, Any]) -> None:
         """Continue from a saved `state`."""
         self._rng.bit_generator.state = state["rng"]
+        self._parameters.mean, self._parameters.covariance = (np.array(a, dtype=np.float64) for a in state["belief"])
         self._best = np.array(state["best"], dtype=np.float64)
         positions = state["positions"]
         self._positions = None if positions is None else np.array(positions, dtype=np.float64)

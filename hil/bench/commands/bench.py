@@ -7,7 +7,13 @@ import os
 import click
 
 from hil.bench import BENCHMARKS
-from hil.bench.commands.blind import ablations_command, again_command, discovery_command, hiera_command
+from hil.bench.commands.blind import (
+    ablations_command,
+    again_command,
+    discovery_command,
+    hiera_command,
+    posterior_command,
+)
 from hil.bench.commands.fleet import fleet_command
 from hil.bench.commands.rig import bus_command, faults_command, files_command, loop_command, wire_command
 from hil.bench.commands.tower import tower_command
@@ -45,6 +51,7 @@ for _bench in (
     fit_command,
     paper_command,
     records_command,
+    posterior_command,
     hiera_command,
     ablations_command,
     discovery_command,

@@ -1,4 +1,4 @@
-"""Blind benchmarks on unseen rigs: the network and the calibrators, its ablations, the diagnosis."""
+"""Blind benchmarks on unseen rigs: calibrators and their intervals, the network and its ablations, the diagnosis."""
 
 from __future__ import annotations
 
@@ -54,6 +54,29 @@ def hiera_command(
     with ProgressBar("cases", 1.0, quiet=as_json) as steps:
         tables, skipped = hiera.measure(size, seed, data_folder(), steps.update, network)
     finish("hiera", seed, tables, skipped, out, as_json)
+
+
+@click.command("posterior")
+@QUICK
+@SEED
+@OUT
+@JSON
+def posterior_command(quick: bool, seed: int, out: Path | None, as_json: bool) -> None:
+    """Compare the calibrators' 90 % intervals with a posterior by Markov chain Monte Carlo, on twenty windows.
+
+    It needs numpyro, which is in the extra `bench`.
+
+    \b
+    Example:
+      hil bench posterior --quick
+    """
+    from hil.bench.posterior import trial
+    from hil.run.session import ProgressBar
+
+    size = trial.QUICK if quick else trial.FULL
+    with ProgressBar("windows", 1.0, quiet=as_json) as steps:
+        tables, skipped = trial.measure(size, seed, steps.update)
+    finish("posterior", seed, tables, skipped, out, as_json)
 
 
 @click.command("ablations")

@@ -10,17 +10,18 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.bench.hiera.cases import RIGS
+    from hil.bench.hiera.cases import RIGS, HieraCase
 
-__all__ = ["RIGS", "ablations", "trial"]
+__all__ = ["RIGS", "HieraCase", "ablations", "cases", "trial"]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "": (
             "ablations",
+            "cases",
             "trial",
         ),
-        "cases": ("RIGS",),
+        "cases": ("RIGS", "HieraCase"),
     },
 )

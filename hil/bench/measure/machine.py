@@ -24,6 +24,7 @@ LIBRARIES = (
     "llvmlite",
     "torch",
     "jax",
+    "numpyro",
     "pyswarms",
     "pymoo",
     "cma",

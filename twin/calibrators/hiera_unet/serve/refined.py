@@ -68,7 +68,7 @@ class RefinedCalibrator(LeastSquares):
         self._left: _LeastSquaresState | None = None
 
     def calibrate(self, window: Window) -> Calibration:
-        before = self._scaling.to_values(self._mean)
+        before = self._scaling.to_values(self._parameters.mean)
         proposal = self.proposing.propose(window)
         window = self.proposing.trusted(window)
         alone = super().calibrate(self._apart(window))
@@ -92,7 +92,9 @@ class RefinedCalibrator(LeastSquares):
         window = self.proposing.trusted(window)
         if any(r.code in gates.UNREADABLE for r in proposal.reasons):
             return None
-        values, readings, end, _ = self._fit(window, self._belief(proposal, self._scaling.to_values(self._mean)))
+        values, readings, end, _ = self._fit(
+            window, self._belief(proposal, self._scaling.to_values(self._parameters.mean))
+        )
         better = self._far_better(window, _over(window.live, readings), window.live)
         return (values, end) if better else None
 
