@@ -54,6 +54,7 @@ def exit_code(error: BaseException) -> int | None:
         "StreamError",
         "AlarmError",
         "PanelError",
+        "StartError",
     }:
         return USAGE
     if names & {

@@ -36,6 +36,7 @@ VERBS = {
     "rig": "Serve the virtual rig over Modbus and CAN",
     "run": "Replay a load profile on a rig while twins track it",
     "serve": "Serve a panel of runs to browsers",
+    "start": "Lead from a register table to a first diagnosis",
     "stream": "Send a run to MQTT or PostgreSQL, or serve it by OPC UA",
     "test": "Judge a run by a test plan: verdicts, JUnit XML",
     "tower": "Cooling towers: historian, aligned record, calibration",
@@ -46,7 +47,7 @@ VERBS = {
 PACKAGES = {
     "hil.bench.commands": ("bench",),
     "hil.cli.operator_commands": ("alarms", "serve"),
-    "hil.cli.rig_commands": ("check", "init", "profile", "rig"),
+    "hil.cli.rig_commands": ("check", "init", "profile", "rig", "start"),
     "hil.cli.run_commands": (
         "compare",
         "ctl",
