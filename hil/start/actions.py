@@ -171,10 +171,9 @@ def _run(words: tuple[Word, ...], base: Path, say: Callable[[str], None]) -> int
         if child is not None and child.poll() is None:
             child.send_signal(number)
 
-    before: dict[int, Any] = {number: signal.signal(number, hand_on) for number in _FORWARDED}
+    taken = [number for number in _FORWARDED if signal.getsignal(number) is not signal.SIG_IGN]  # nohup ignores some
+    before: dict[int, Any] = {number: signal.signal(number, hand_on) for number in taken}
     try:
-        if before.get(signal.SIGINT) is signal.SIG_IGN:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
         child = subprocess.Popen(arguments, cwd=base, stdin=subprocess.DEVNULL)
         if asked:
             child.send_signal(asked[-1])
@@ -183,5 +182,5 @@ def _run(words: tuple[Word, ...], base: Path, say: Callable[[str], None]) -> int
         for number, handler in before.items():
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
     if asked:
-        raise StopRequest(f"stopped by {signal.Signals(asked[0]).name}", 1)
+        raise StopRequest(f"stopped by {signal.Signals(asked[0]).name} in this step", 1)
     return code

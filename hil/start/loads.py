@@ -12,11 +12,13 @@ _GOLDEN = 0.6180339887498949
 """Fraction by which a level moves on: the golden ratio's multiples cover an interval evenly (Weyl's sequence)."""
 _LOWEST, _SPAN = 0.4, 0.5
 """Levels lie from 40 % to 90 % of the limits: the range of the shipped commissioning profile."""
-_HOLD_MIN = (30, 40, 60)
-"""Minutes that the first, second and third set-point holds a level, so that no two move together."""
+_HOLD_S = (1800, 2400, 3600)
+"""Seconds that the first, second and third set-point holds a level."""
+_STEP_S = 300
+"""Seconds by which each further set-point moves later, so that no two of the first three move together."""
 
 
-def load_text(rig: Rig, hours: float) -> str:
+def load_text(rig: Rig, hours: float, pace: int = 1) -> str:
     """Return a load profile that moves the rig's set-points one at a time, as CSV.
 
     Parameters
@@ -25,30 +27,26 @@ def load_text(rig: Rig, hours: float) -> str:
         Rig with at least one set-point.
     hours
         Duration in h.
+    pace
+        Factor by which the levels change faster than in a commissioning.
     """
     from hil.run.session import setpoint_limits
 
     limits = setpoint_limits(rig)
-    end = round(hours * 60)
-    moves = {0} | {minute for number in range(len(limits)) for minute in range(5 * number, end, _hold(number))}
     rows = [",".join(["time_s", *limits])]
-    for minute in [*sorted(moves), end]:
-        levels = [
-            limit.low + (limit.high - limit.low) * _level(min(minute, end - 1), number)
-            for number, limit in enumerate(limits.values())
-        ]
-        rows.append(",".join([str(60 * minute), *(f"{level:.5g}" for level in levels)]))
+    end_s, before = round(3600 * hours), ""
+    for time_s in range(0, end_s + 1, _STEP_S // pace):
+        levels = []
+        for number, limit in enumerate(limits.values()):
+            hold_s = _HOLD_S[number % len(_HOLD_S)]
+            move = max(0, (min(time_s, end_s - 1) * pace - _STEP_S * number) // hold_s)
+            share = _LOWEST + _SPAN * ((0.5 + _GOLDEN * (move + number)) % 1.0)
+            levels.append(f"{limit.low + (limit.high - limit.low) * share:.5g}")
+        row = ",".join(levels)
+        if row != before or time_s == end_s:
+            rows.append(f"{time_s},{row}")
+        before = row
     return "\n".join(rows) + "\n"
-
-
-def _hold(number: int) -> int:
-    return _HOLD_MIN[number % len(_HOLD_MIN)] + 5 * (number // len(_HOLD_MIN))
-
-
-def _level(minute: int, number: int) -> float:
-    """Return the level of a set-point, as a fraction of its limits."""
-    move = (minute - 5 * number) // _hold(number) if minute >= 5 * number else 0
-    return _LOWEST + _SPAN * ((0.5 + _GOLDEN * (move + number)) % 1.0)
 
 
 def written_text(rig: Rig, load: Path) -> str:

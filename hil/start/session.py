@@ -91,7 +91,6 @@ def _take(step: Step, course: Course, answering: Answering, store: Store) -> Non
         if store.is_done(step.name, lines):
             say("done before")
             return
-        store.begin(step.name, lines)
         code = 0
         for action in actions:
             code = action.run(course.folder, say)

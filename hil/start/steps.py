@@ -27,8 +27,8 @@ OUTPUTS = (DRAFT, RIG, SERVED, LOAD, HEALTHY, TWIN, _HEALTHY_RECORD)
 """Files that the course writes beside its answers and its script."""
 _TABLES = (".csv", ".tsv", ".txt")
 _SOURCES = (*_TABLES, ".toml", ".conf", ".yaml", ".yml", ".dbc")
-_TRIAL_H, _HEALTHY_H = 0.5, 10.0
-"""Durations of the generated load profiles in h; the second is that of the shipped commissioning profile."""
+_TRIAL, _HEALTHY = (1.0, 4), (10.0, 1)
+"""Duration in h and pace of the generated load profiles; the second lasts as long as the shipped commissioning."""
 
 
 @dataclass(slots=True)
@@ -209,20 +209,20 @@ def _load_questions(course: Course) -> Asked:
     yield _profile(course, "load", text, "profiles/loads/battle_10h.csv", LOAD)
 
 
-def _generated(course: Course, answer: str, name: str, hours: float) -> list[Action]:
+def _generated(course: Course, answer: str, name: str, shape: tuple[float, int]) -> list[Action]:
     """Return the file of a generated profile and its check, in this order."""
     from drivers.rig_file import load_rig
 
     check = Command(("check", answer, "--rig", course.rig))
     if answer != name:
         return [check]
-    return [FileAction(name, load_text(load_rig(course.path(course.rig)), hours)), check]
+    return [FileAction(name, load_text(load_rig(course.path(course.rig)), *shape)), check]
 
 
 def _trial(course: Course) -> list[Action]:
     served = (("rig", course.rig, "--out", SERVED), SERVED)
     actions = [
-        *_generated(course, course.answers["load"], LOAD, _TRIAL_H),
+        *_generated(course, course.answers["load"], LOAD, _TRIAL),
         Command(("check", SERVED, "--online", "--seconds", "3"), beside=served),
     ]
     if not course.is_built_in:
@@ -257,7 +257,7 @@ def _file(course: Course, text: str) -> str:
     return text
 
 
-def _consent(course: Course, key: str, load: str, generated: str, hours: float) -> Asked:
+def _consent(course: Course, key: str, load: str, generated: str, shape: tuple[float, int]) -> Asked:
     """Ask for the consent to write to a rig, with all that will be written."""
     from drivers.rig_file import load_rig
     from hil.files import replacing
@@ -267,7 +267,7 @@ def _consent(course: Course, key: str, load: str, generated: str, hours: float) 
     rig = load_rig(course.path(course.rig))
     if load == generated:
         with replacing(course.folder / load) as unfinished:
-            unfinished.write_text(load_text(rig, hours), encoding="utf-8")
+            unfinished.write_text(load_text(rig, *shape), encoding="utf-8")
     what = written_text(rig, course.path(load))
     yield Question(key, f"This run writes to the rig: {what}. Type yes to agree", None, anything, consent=what)
 
@@ -277,7 +277,7 @@ def _healthy_questions(course: Course) -> Asked:
     load = yield _profile(course, "healthy", text, "profiles/loads/commissioning_10h.csv", HEALTHY)
     text = "Twin file to start from; its inputs and sensors must be points of the rig"
     yield Question("twin", text, "profiles/twins/loop.toml", lambda answer: _file(course, answer))
-    yield from _consent(course, "writes.healthy", load, HEALTHY, _HEALTHY_H)
+    yield from _consent(course, "writes.healthy", load, HEALTHY, _HEALTHY)
 
 
 def _healthy(course: Course) -> list[Action]:
@@ -286,7 +286,7 @@ def _healthy(course: Course) -> list[Action]:
     with_twin = ("--twin", answers["twin"]) if plant else ("--no-twin",)
     run = ("run", answers["healthy"], "--rig", course.rig, *course.simulated, *with_twin, "--runs", "runs/healthy")
     return [
-        *_generated(course, answers["healthy"], HEALTHY, _HEALTHY_H),
+        *_generated(course, answers["healthy"], HEALTHY, _HEALTHY),
         Command(("check", answers["twin"])),
         Command(run, writes=answers.get("writes.healthy")),
     ]
@@ -308,7 +308,7 @@ def _run_questions(course: Course) -> Asked:
             return answer if answer == NONE else _file(course, answer)
 
         yield Question("fault", text, "profiles/effects/modules_heat.toml", check)
-    yield from _consent(course, "writes.load", course.answers["load"], LOAD, _TRIAL_H)
+    yield from _consent(course, "writes.load", course.answers["load"], LOAD, _TRIAL)
 
 
 def _run(course: Course) -> list[Action]:

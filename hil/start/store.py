@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import tomllib
 from pathlib import Path
@@ -30,7 +31,7 @@ class Store:
     answers
         Answers by key, in the order in which they were given.
     done
-        Lines of the script of each finished step, by its name.
+        SHA-256 of the lines of the script of each finished step, by its name.
     """
 
     def __init__(self, folder: Path, outputs: tuple[str, ...]) -> None:
@@ -51,7 +52,6 @@ class Store:
             document = _tables(folder / ANSWERS)
             self.done = {key: str(value) for key, value in document.pop("done", {}).items()}
             self.answers = flat(document)
-            self._script.update(self.done)
             return
         for name in (SCRIPT, *outputs):
             if (folder / name).exists():
@@ -63,32 +63,29 @@ class Store:
         self.answers[key] = answer
         self._save()
 
-    def begin(self, step: str, lines: str) -> None:
-        """Add the commands of a step to the script."""
-        self._script[step] = lines
-        self._save()
-
-    def finish(self, step: str, lines: str) -> None:
-        """Save that a step is done by these commands."""
-        self.done[step] = lines
-        self._save()
-
     def is_done(self, step: str, lines: str) -> bool:
-        """Return True if these commands of a step are done; otherwise forget this step and all later ones."""
-        if self.done.get(step) == lines:
+        """Return True if a step is done by these commands; otherwise forget it and all later steps, and add them."""
+        if lines:
+            self._script[step] = lines
+        if self.done.get(step) == _hash(lines):
             return True
         names = list(self.done)
         for name in names[names.index(step) if step in self.done else len(names) :]:
             del self.done[name]
-            self._script.pop(name, None)
+        self._save()
+        parts = [f"# {name}\n{text}\n" for name, text in self._script.items()]
+        _write(self.folder / SCRIPT, "\n".join([_SCRIPT_HEADER, *parts]))
         return False
+
+    def finish(self, step: str, lines: str) -> None:
+        """Save that a step is done by these commands."""
+        self.done[step] = _hash(lines)
+        self._save()
 
     def _save(self) -> None:
         lines = [_HEADER, *(f"{_quoted(key)} = {_quoted(value)}" for key, value in self.answers.items())]
         lines += ["", "[done]", *(f"{_quoted(key)} = {_quoted(value)}" for key, value in self.done.items())]
         _write(self.folder / ANSWERS, "\n".join(lines) + "\n")
-        parts = [f"# {step}\n{lines}\n" for step, lines in self._script.items()]
-        _write(self.folder / SCRIPT, "\n".join([_SCRIPT_HEADER, *parts]))
 
 
 def read_answers(path: Path) -> dict[str, str]:
@@ -109,6 +106,10 @@ def flat(table: dict[str, Any], place: str = "") -> dict[str, str]:
         else:
             found[f"{place}{key}"] = ("yes" if value else "no") if isinstance(value, bool) else str(value)
     return found
+
+
+def _hash(lines: str) -> str:
+    return hashlib.sha256(lines.encode()).hexdigest()
 
 
 def _tables(path: Path) -> dict[str, Any]:

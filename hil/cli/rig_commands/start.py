@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 
@@ -40,11 +41,14 @@ def command(
         if not sign or not value:
             raise click.UsageError(f"--answer {text!r} is no KEY=VALUE; write it like host=192.168.1.20")
         given[key] = value
+    for name in {"SIGTERM", "SIGHUP"} & set(dir(signal)):
+        if signal.getsignal(getattr(signal, name)) is not signal.SIG_IGN:
+            signal.signal(getattr(signal, name), signal.default_int_handler)  # ends like Ctrl-C
     request = StartRequest(Path(), virtual, source, given, takes_defaults)
     try:
         start(request, _say, _read)
     except KeyboardInterrupt:
-        click.echo("\nhil: stopped by the operator; `hil start` in this folder goes on here", err=True)
+        click.echo("\nhil: stopped; `hil start` in this folder goes on here", err=True)
         sys.exit(1)
     except StopRequest as stop:
         click.echo(f"hil: {stop}; `hil start` in this folder goes on there", err=True)
