@@ -69,7 +69,7 @@ def start(request: StartRequest, say: Callable[[str], None], read: Callable[[str
         raise StartError(f"{request.folder} has a course on a rig; call `hil start --virtual` in another folder")
     store.keep("virtual", "yes" if virtual else "no")
     course = Course(request.folder, virtual)
-    answering = Answering(given, dict(store.answers), request.takes_defaults, say, read)
+    answering = Answering(given, store.answers, request.takes_defaults, say, read)
     for number, step in enumerate(STEPS, 1):
         if step.applies(course):
             say(f"\n{number}. {step.title}")
@@ -85,12 +85,15 @@ def _take(step: Step, course: Course, answering: Answering, store: Store) -> Non
     say = answering.say
     say(step.why)
     while True:
-        asked = _ask(step, course, answering, store)
+        was_done = step.name in store.done
+        asked = _ask(step, course, answering, store, was_done=was_done)
         actions = step.actions(course)
         lines = "\n".join(action.in_shell() for action in actions)
         if store.is_done(step.name, lines):
             say("done before")
             return
+        if was_done:  # its commands differ now: what was agreed to before does not count
+            continue
         code = 0
         for action in actions:
             code = action.run(course.folder, say)
@@ -105,8 +108,11 @@ def _take(step: Step, course: Course, answering: Answering, store: Store) -> Non
         answering.refuse(asked)
 
 
-def _ask(step: Step, course: Course, answering: Answering, store: Store) -> list[str]:
-    """Ask the questions of a step, save each answer at once; return their keys. Raises StopRequest."""
+def _ask(step: Step, course: Course, answering: Answering, store: Store, *, was_done: bool) -> list[str]:
+    """Ask the questions of a step, save each answer at once; return their keys. Raises StopRequest.
+
+    A step that is done is not agreed to again.
+    """
     asked: list[str] = []
     questions = step.questions(course)
     answer: str | None = None
@@ -115,7 +121,8 @@ def _ask(step: Step, course: Course, answering: Answering, store: Store) -> list
             question = next(questions) if answer is None else questions.send(answer)
         except StopIteration:
             return asked
-        answer = answering.answer(question)
+        agreed = was_done and question.consent is not None and store.answers.get(question.key) == question.consent
+        answer = question.consent if agreed and question.consent is not None else answering.answer(question)
         asked.append(question.key)
         course.answers[question.key] = answer
         if store.answers.get(question.key) != answer:
