@@ -59,14 +59,15 @@ def start(request: StartRequest, say: Callable[[str], None], read: Callable[[str
     StopRequest
         The course stopped: end of input, a signal, a command that failed. A second call goes on.
     """
-    store = Store(request.folder, OUTPUTS)
     given = dict(request.given or {})
     if request.source is not None:
         given["source"] = request.source
+    store = Store(request.folder, tuple(name for name in OUTPUTS if name != given.get("source")))
     was_virtual = store.answers.pop("virtual", None)
     virtual = request.virtual or (given.pop("virtual", was_virtual) == "yes")
     if was_virtual is not None and (was_virtual == "yes") != virtual:
-        raise StartError(f"{request.folder} has a course on a rig; call `hil start --virtual` in another folder")
+        kind = "without a rig (--virtual)" if was_virtual == "yes" else "on a rig"
+        raise StartError(f"this folder has a course {kind}; begin another one in another folder")
     store.keep("virtual", "yes" if virtual else "no")
     course = Course(request.folder, virtual)
     answering = Answering(given, store.answers, request.takes_defaults, say, read)

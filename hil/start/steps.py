@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hil.start.actions import Action, Command, FileAction, Newest, Removal
+from hil.start.errors import StopRequest
 from hil.start.loads import load_text, written_text
 from hil.start.points import Asked, point_questions, quoted
 from hil.start.questions import NONE, Question, anything, one_of, whole
@@ -197,14 +198,22 @@ def _check(course: Course) -> list[Action]:
 
 def _profile(course: Course, key: str, text: str, shipped: str, generated: str) -> Question:
     def check(answer: str) -> str:
-        if answer != generated and not course.path(answer).is_file():
-            raise ValueError(f"{answer}: there is no such file")
+        from hil.profile import read_profile
+
+        if answer != generated:
+            read_profile(course.path(_file(course, answer)))
         return answer
 
     return Question(key, text, shipped if course.is_built_in else generated, check)
 
 
 def _load_questions(course: Course) -> Asked:
+    from drivers.rig_file import load_rig
+
+    if not load_rig(course.path(course.rig)).setpoints:
+        raise StopRequest(
+            f"{course.rig} has no point with limits, so that no profile can drive it; give one its limits"
+        )
     text = f"Load profile of the trial; {LOAD} is made from the limits"
     yield _profile(course, "load", text, "profiles/loads/battle_10h.csv", LOAD)
 

@@ -55,7 +55,7 @@ class Store:
             return
         for name in (SCRIPT, *outputs):
             if (folder / name).exists():
-                raise StartError(f"{folder / name} is there already; call `hil start` in a folder without this file")
+                raise StartError(f"{folder / name} is there already; give it with --from, or begin in another folder")
 
     def keep(self, key: str, answer: str) -> None:
         """Save an answer."""

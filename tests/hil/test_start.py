@@ -335,3 +335,28 @@ def test_an_agreement_does_not_outlast_a_change_of_what_is_run(tmp_path, monkeyp
     said = rig.start(twin="profiles/twins/tclab.toml")
     assert said.count("This run writes to the rig") == 1 and "question 'writes.healthy'" in said
     assert rig.runs("healthy") == 1
+
+
+def test_a_rig_file_of_the_same_name_is_the_source_and_is_kept(tmp_path, monkeypatch):
+    rig = RecordedRig(tmp_path, monkeypatch)
+    (tmp_path / "tank.toml").rename(tmp_path / "rig.toml")
+    before = (tmp_path / "rig.toml").read_bytes()
+    said = rig.start(source="rig.toml")
+    assert "question 'writes.healthy'" in said and (tmp_path / "rig.toml").read_bytes() == before
+
+
+def test_a_load_that_is_none_is_refused_before_anything_is_agreed_to(tmp_path, monkeypatch):
+    rig = RecordedRig(tmp_path, monkeypatch)
+    (tmp_path / "bad.csv").write_text("time_s,heater_power_W\n0,1\n0,2\n", encoding="utf-8")
+    said = rig.start("bad.csv", load="bad.csv")
+    assert said.count("refused: ") == 2 and "bad.csv" in said and "question 'load'" not in said
+    assert "question 'writes.healthy'" in said
+
+
+def test_a_rig_without_a_point_to_drive_ends_the_course_with_the_remedy(tmp_path, monkeypatch):
+    rig = RecordedRig(tmp_path, monkeypatch)
+    text = (tmp_path / "tank.toml").read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if not line.startswith(("limits", "max_rate", "safe", "readback"))]
+    (tmp_path / "tank.toml").write_text("\n".join(lines), encoding="utf-8")
+    assert "has no point with limits" in rig.start()
+    assert rig.runs("healthy") == 0
