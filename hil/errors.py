@@ -56,6 +56,7 @@ def exit_code(error: BaseException) -> int | None:
         "PanelError",
         "FleetError",
         "ExecutorOptionError",
+        "StartError",
     }:
         return USAGE
     if names & {

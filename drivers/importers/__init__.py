@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     )
     from drivers.importers.draft import Collector, Draft, DraftBus, DraftPoint, ImportFileError, rig_file_text
     from drivers.importers.homeassistant import import_homeassistant
+    from drivers.importers.settings import apply_settings
     from drivers.importers.telegraf import import_telegraf
     from drivers.importers.vendor_table import import_csv, names_registers
 
@@ -41,6 +42,7 @@ __all__ = [
     "ImportFileError",
     "SignalPlace",
     "actuator_of",
+    "apply_settings",
     "draft_of_description",
     "heartbeat_of",
     "import_csv",
@@ -71,6 +73,7 @@ __getattr__, __dir__ = lazy_names(
         ),
         "draft": ("Collector", "Draft", "DraftBus", "DraftPoint", "ImportFileError", "rig_file_text"),
         "homeassistant": ("import_homeassistant",),
+        "settings": ("apply_settings",),
         "telegraf": ("import_telegraf",),
         "vendor_table.headings": ("names_registers",),
         "vendor_table.table": ("import_csv",),

@@ -288,16 +288,17 @@ def _plain(text: str) -> str:
     return "".join(letter if letter.isprintable() else " " for letter in text).strip()
 
 
-def _toml(value: Any) -> str:
+def toml_text(value: Any) -> str:
+    """Return a value as text of a TOML file."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         # JSON's escapes are TOML's, but for the delete character, which JSON leaves as it is
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, list | tuple):
-        return f"[{', '.join(_toml(item) for item in value)}]"
+        return f"[{', '.join(toml_text(item) for item in value)}]"
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_toml(str(key))} = {_toml(item)}" for key, item in value.items()) + " }"
+        return "{ " + ", ".join(f"{toml_text(str(key))} = {toml_text(item)}" for key, item in value.items()) + " }"
     if isinstance(value, float) and not math.isfinite(value):
         return "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
     return repr(value)
@@ -319,7 +320,7 @@ def rig_file_text(draft: Draft, name: str, *, period_s: float = 1.0) -> str:
     lines = [draft.head or _HEAD.format(source=_plain(draft.source.name))]
     if draft.notes:
         lines += ["# To check:", *(f"#   {_plain(note)}" for note in draft.notes), ""]
-    lines += ["[rig]", f"name = {_toml(name)}", _line("period_s", period_s, draft.period_remark)]
+    lines += ["[rig]", f"name = {toml_text(name)}", _line("period_s", period_s, draft.period_remark)]
     lines += [_line(key, value, remark) for key, (value, remark) in draft.rig.items()]
     for bus in draft.buses:
         lines += ["", f"[bus.{bus.name}]"]
@@ -329,7 +330,7 @@ def rig_file_text(draft: Draft, name: str, *, period_s: float = 1.0) -> str:
     for bus in draft.buses:
         lines += ["", f"# {bus.name} " + "-" * (100 - len(bus.name))]
         for point in bus.points:
-            lines += ["", "[[point]]", f"name = {_toml(point.name)}"]
+            lines += ["", "[[point]]", f"name = {toml_text(point.name)}"]
             if point.comment:
                 lines.append(f"# {_plain(point.comment)}")
             lines += _keys(point)
@@ -337,7 +338,7 @@ def rig_file_text(draft: Draft, name: str, *, period_s: float = 1.0) -> str:
 
 
 def _line(key: str, value: Any, remark: str) -> str:
-    text = f"{key} = {_toml(value)}"
+    text = f"{key} = {toml_text(value)}"
     return f"{text:<24} # {_plain(remark)}" if remark else text
 
 

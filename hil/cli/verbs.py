@@ -37,6 +37,7 @@ VERBS = {
     "rig": "Serve the virtual rig over Modbus and CAN",
     "run": "Replay a load profile on a rig while twins track it",
     "serve": "Serve a panel of runs to browsers",
+    "start": "Lead from a register table to a first diagnosis",
     "stream": "Send a run to MQTT or PostgreSQL, or serve it by OPC UA",
     "test": "Judge a run by a test plan: verdicts, JUnit XML",
     "tower": "Cooling towers: historian, aligned record, calibration",
@@ -47,7 +48,7 @@ VERBS = {
 PACKAGES = {
     "hil.bench.commands": ("bench",),
     "hil.cli.operator_commands": ("alarms", "serve"),
-    "hil.cli.rig_commands": ("check", "init", "profile", "rig"),
+    "hil.cli.rig_commands": ("check", "init", "profile", "rig", "start"),
     "hil.cli.run_commands": (
         "compare",
         "ctl",
@@ -66,6 +67,10 @@ PACKAGES = {
 }
 """Package -> verbs, each with a module of its name."""
 _HOME = {verb: package for package, verbs in PACKAGES.items() for verb in verbs}
+
+
+_LIVE = ("ctl", "explain", "resume", "rig", "run", "start", "test")
+"""Verbs that need processes, locks and signals of Linux."""
 
 
 class _Verbs(click.Group):
@@ -112,6 +117,7 @@ def group() -> None:
 
 def main() -> None:
     """Run `hil`: report errors of the user as one sentence with exit code 2, faults that were found with 1."""
+    _require_platform()
     from hil.cli.options import OWN_PROCESS
     from hil.errors import explained, warn_of_little_memory
     from hil.files import accept_any_name
@@ -127,3 +133,13 @@ def main() -> None:
     warn_of_little_memory()
     with explained():
         sys.exit(group.main(standalone_mode=True, obj=OWN_PROCESS))
+
+
+def _require_platform() -> None:
+    """End with one sentence where this platform lacks what the verb needs: docs/reference/platforms.md."""
+    if sys.platform == "win32":
+        print("hil: hil does not run on Windows itself; use WSL 2 or the container", file=sys.stderr)
+        sys.exit(2)
+    if sys.platform != "linux" and sys.argv[1:2] and sys.argv[1] in _LIVE and "--help" not in sys.argv:
+        print(f"hil: hil {sys.argv[1]} needs Linux; use the container on this platform", file=sys.stderr)
+        sys.exit(2)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[2]
 REASONS = {
+    "needs-docker": "builds or runs a container",
     "needs-rig": "a rig, bus or device of the reader's own",
     "needs-install": "downloads packages or changes the machine",
     "needs-display": "opens a window",

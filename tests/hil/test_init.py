@@ -14,6 +14,7 @@ from drivers.rig_file.reader import Rig, load_rig
 from drivers.virtual.rig import start_virtual_rig
 from hil.cli.rig_commands.check import command as check
 from hil.cli.rig_commands.init import command as init
+from tests.hil.command_line import hil
 
 DBC = Path(__file__).resolve().parents[2] / "profiles" / "rigs" / "thermocouples.dbc"
 ON_MODBUS = (
@@ -294,3 +295,49 @@ def test_a_fresh_import_with_set_points_is_told_what_protection_it_lacks(tmp_pat
     for lack in ("no limits and no safe_value", "no readback", "no plausible range", "there is no [heartbeat]"):
         (note,) = [line for line in said.splitlines() if line.startswith("note: ") and lack in line]
         assert "pump_set" in note or lack == "no plausible range"
+
+
+TABLE = """name,address,type,scale,unit,access
+pump_set,40001,uint16,0.1,%,rw
+pump,40002,uint16,0.1,%,r
+beat,40003,uint16,1,1,rw
+"""
+
+
+def test_keys_of_an_import_are_set(tmp_path):
+    source, out = tmp_path / "registers.csv", tmp_path / "rig.toml"
+    source.write_text(TABLE, encoding="utf-8")
+    settings = (
+        *("pump_set.limits=[0, 100]", "pump_set.safe_value=100.0", "pump_set.readback=pump_speed"),
+        *("pump.role=pump_speed", "pump.name=pump_speed", "heartbeat.point=beat", "beat.kind=status"),
+    )
+    words = [word for text in settings for word in ("--set", text)]
+    done = made("--from", source, "--addressing", "modicon", *words, "--out", out)
+    assert done.exit_code == 0, done.output
+    rig = accepted(out)
+    assert rig.get("pump_set").limits == (0.0, 100.0) and rig.get("pump_set").readback == "pump_speed"
+    assert rig.get("pump_speed").role == "pump_speed" and rig.heartbeat is not None and rig.heartbeat.point == "beat"
+
+
+@pytest.mark.parametrize(
+    ("setting", "sentence"),
+    [
+        ("pump_set", "is no POINT.KEY=VALUE"),
+        ("pum_set.limits=[0, 1]", "there is no point pum_set; did you mean pump_set?"),
+        ("pump_set.limits=[100, 0]", "makes an invalid rig file"),
+        ("pump_set.colour=red", "makes an invalid rig file"),
+        ("pump_set.type=colour", "makes an invalid rig file"),
+        ("heartbeat.point=nothing", "makes an invalid rig file"),
+    ],
+)
+def test_a_wrong_key_of_an_import_writes_nothing(tmp_path, setting, sentence):
+    source, out = tmp_path / "registers.csv", tmp_path / "rig.toml"
+    source.write_text(TABLE, encoding="utf-8")
+    code, said = hil("init", "--from", source, "--addressing", "modicon", "--set", setting, "--out", out)
+    assert code == 2 and sentence in said and "Traceback" not in said, said
+    assert not out.exists()
+
+
+def test_keys_are_set_of_an_import_alone(tmp_path):
+    code, said = hil("init", "--heater", "holding:0", "--set", "a.b=1", "--out", tmp_path / "rig.toml")
+    assert code == 2 and "give its file with --from" in said

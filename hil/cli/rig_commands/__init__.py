@@ -1,3 +1,3 @@
-"""Commands about rigs and their files: `hil check`, `init`, `profile`, `rig`."""
+"""Commands about rigs and their files: `hil check`, `init`, `profile`, `rig`, `start`."""
 
 __all__: list[str] = []

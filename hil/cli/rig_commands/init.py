@@ -58,6 +58,13 @@ _LAST_PORT = 65535
     metavar="point=PLACE,counter=PLACE,arm=PLACE,watchdog=PLACE",
     help="Heartbeat registers that the rig monitors.",
 )
+@click.option(
+    "--set",
+    "settings",
+    metavar="POINT.KEY=VALUE",
+    multiple=True,
+    help="With --from: a key of a point, or heartbeat.KEY=POINT. May be repeated.",
+)
 @click.option("--trip-at", type=float, default=75.0, show_default=True, help="Temperature that ends a run, degC.")
 @click.option("--name", help="Name of the rig; default: the file's name.")
 @click.option("--period", type=click.FloatRange(0, 3600, min_open=True), default=1.0, show_default=True, help="s")
@@ -80,6 +87,7 @@ def command(
     thermocouples: tuple[str, ...],
     dbc: Path | None,
     heartbeat: str | None,
+    settings: tuple[str, ...],
     trip_at: float,
     name: str | None,
     period: float,
@@ -97,6 +105,8 @@ def command(
       hil init --host 192.168.1.20 --heater set=holding:0*0.1,read=input:0:float32:CDAB,max=2000 \\
                --pump set=holding:1*0.1 --thermocouple T_tank=input:20:int16*0.01 --out my_rig.toml
       hil init --from registers.csv --addressing modicon --host 192.168.1.20 --out my_rig.toml
+      hil init --from registers.csv --addressing zero --set pump_set.limits=[0,100] --set pump_set.readback=pump \\
+               --out my_rig.toml
       hil init --from telegraf.conf --out my_rig.toml
       hil init --from sensors.dbc --channel can0 --out my_rig.toml
     """
@@ -114,7 +124,12 @@ def command(
         if said:
             raise click.UsageError("--from takes the rig from a file; leave out the options that describe points")
         draft = _imported(source, out, addressing, order, encoding, bus, can)
+        from drivers.importers import apply_settings
+
+        apply_settings(draft, settings)
         name = name or source.stem
+    elif settings:
+        raise click.UsageError("--set adds keys to the points of an import; give its file with --from")
     else:
         from drivers.importers import Described, actuator_of, draft_of_description, heartbeat_of, place_of
 

@@ -20,20 +20,21 @@ _REASONS = {
     signal.SIGTERM: "stopped by SIGTERM",
     signal.SIGQUIT: "stopped by the operator (SIGQUIT)",
     signal.SIGHUP: "stopped because the terminal went away (SIGHUP)",
-    # By themselves these would end the process at once, and nothing means them.
+    # By themselves these would end the process at once, and nothing means them; not every platform has all of them.
     **{
-        number: f"stopped by {number.name}"
-        for number in (
-            signal.SIGUSR1,
-            signal.SIGUSR2,
-            signal.SIGALRM,
-            signal.SIGVTALRM,
-            signal.SIGPROF,
-            signal.SIGXCPU,
-            signal.SIGXFSZ,
-            signal.SIGIO,
-            signal.SIGPWR,
+        signal.Signals[name]: f"stopped by {name}"
+        for name in (
+            "SIGUSR1",
+            "SIGUSR2",
+            "SIGALRM",
+            "SIGVTALRM",
+            "SIGPROF",
+            "SIGXCPU",
+            "SIGXFSZ",
+            "SIGIO",
+            "SIGPWR",
         )
+        if hasattr(signal, name)
     },
 }
 _IGNORED_AFTER = (signal.SIGINT, signal.SIGTERM, signal.SIGQUIT, signal.SIGHUP)
