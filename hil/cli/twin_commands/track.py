@@ -27,7 +27,7 @@ BLOCK_ROWS = 1200
 @CALIBRATORS
 @NETWORK
 @NETWORK_MODE
-@click.option("--seed", default=0, show_default=True, help="Seed of the calibrators.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the calibrators.")
 @click.option(
     "--out", type=click.Path(dir_okay=False, path_type=Path), help="File for the predictions, .parquet or .csv."
 )

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from pathlib import Path
 from typing import Any
 
 from drivers.rig_file import read_regular
+from hil.files import parse_json
 from hil.record import RecordError
 from hil.tower.station.json_shape import Shape, misfit
 
@@ -76,10 +76,9 @@ def read_object(path: Path, shape: Shape, remedy: str) -> dict[str, Any]:
         The file cannot be read, is not JSON, or not of that shape.
     """
     try:
-        found = _without_nulls(json.loads(_text(path)))
-    except (ValueError, RecursionError) as error:
-        reason = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
-        raise RecordError(f"{path}: is not valid JSON: {reason}; {remedy}") from error
+        found = _without_nulls(parse_json(_text(path)))
+    except ValueError as error:
+        raise RecordError(f"{path}: is not valid JSON: {error}; {remedy}") from error
     if not isinstance(found, dict):
         raise RecordError(f"{path}: is not a JSON object; {remedy}")
     if fault := misfit(found, shape):
