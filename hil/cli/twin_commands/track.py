@@ -111,6 +111,7 @@ def command(
             "errors_K": dataclasses.asdict(comparison.errors),
             "bands": comparison.bands,
             "parameters": comparison.parameters,
+            "parameter_units": comparison.units,
             "left_out": twins.left_out,
             "tuned": twins.tuning(),
             "outdone": comparison.outdone,

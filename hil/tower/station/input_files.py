@@ -92,15 +92,22 @@ def read_datasheet(path: Path) -> dict[str, Any]:
     Raises
     ------
     RecordError
-        The file cannot be read, or a key that is used has another type.
+        The file cannot be read, none of its keys has a value, or a key that is used has another type.
     """
-    return read_object(path, DATASHEET, "correct the datasheet")
+    found = read_object(path, DATASHEET, "correct the datasheet")
+    if parse_json(_text(path)) and not _holds_value(found):
+        raise RecordError(f"{path}: none of its keys has a value; correct the datasheet")
+    return found
 
 
 def _without_nulls(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _without_nulls(one) for key, one in value.items() if one is not None}
     return [_without_nulls(one) for one in value] if isinstance(value, list) else value
+
+
+def _holds_value(value: Any) -> bool:
+    return any(map(_holds_value, value.values())) if isinstance(value, dict) else value is not None
 
 
 def _text(path: Path) -> str:
