@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from drivers.rig_file import file_sha256, load_rig
+from hil.diagnosis.store import EXPERIMENT
 from hil.files import parse_json
 from hil.profile import Profile, SetpointLimit, validate, write_profile
 from hil.run.outputs import setpoint_columns
 from twin.discovery import Diagnosis, Limits
-
-EXPERIMENT = "experiment.csv"
 
 
 def limits_of(rig: Path) -> Limits:

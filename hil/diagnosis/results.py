@@ -11,9 +11,17 @@ from typing import Any
 
 from drivers.rig_file import file_sha256
 from hil import __version__
-from hil.diagnosis.experiment_file import EXPERIMENT
-from hil.diagnosis.revision import PROPOSAL
-from hil.diagnosis.store import CURVES, DOCUMENT, PAGE, REVIEW, curves_of, write_curves, write_document
+from hil.diagnosis.store import (
+    CURVES,
+    DOCUMENT,
+    EXPERIMENT,
+    PAGE,
+    PROPOSAL,
+    REVIEW,
+    curves_of,
+    write_curves,
+    write_document,
+)
 from hil.files import parse_json
 from twin.discovery import Diagnosis
 

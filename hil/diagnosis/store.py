@@ -21,6 +21,7 @@ from hil.files import parse_json, read_json, read_parquet, replacing, require_si
 from twin.discovery import Diagnosis
 
 DOCUMENT, CURVES, PAGE, REVIEW = "diagnosis.json", "diagnosis.parquet", "diagnosis.html", "diagnosis.rrd"
+EXPERIMENT, PROPOSAL = "experiment.csv", "empirical.toml"
 _KEY = b"hil.diagnosis"
 
 Floats = NDArray[np.float64]
