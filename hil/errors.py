@@ -10,6 +10,14 @@ import sys
 from collections.abc import Iterator
 
 _EXHAUSTED = (errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.EAGAIN)
+_DENIED = {
+    errno.EACCES: "give this user the right to it, or choose another place",
+    errno.EPERM: "give this user the right to it, or choose another place",
+    errno.EROFS: "choose a place that can be written",
+    errno.ENOSPC: "make room, or choose another place",
+    errno.EDQUOT: "make room, or choose another place",
+}
+"""Refusals of the file system and their remedies."""
 _UNMAPPED = re.compile(r"failed to map segment|cannot allocate memory|cannot map zero-fill", re.IGNORECASE)
 """Words of the dynamic loader (glibc) where it has no memory for a library."""
 _AFTER = "A run that was under way has been made safe first: `hil report RUN` makes its files"
@@ -142,6 +150,9 @@ def explained() -> Iterator[None]:
         code, message = exit_code(error), str(error)
         if code is None and (reason := exhausted_resource(error)) is not None:
             code, message = FOUND, reason
+        if code is None and isinstance(error, OSError) and error.errno in _DENIED:
+            denied = error.filename or "a file"
+            code, message = USAGE, f"{denied}: {error.strerror}; {_DENIED[error.errno]}"
         if code is None:
             raise
         from hil.files import on_terminal

@@ -9,6 +9,7 @@ import pytest
 
 PROJECT = Path(__file__).resolve().parents[1]
 LAZY_NAMES = [f"{package}/lazy_names.py" for package in ("hil", "drivers", "twin")]
+BOUNDED_TOML = ["drivers/rig_file/text/bounded_toml.py", "twin/twinfile/bounded_toml.py"]
 REGULAR_FILE = ["drivers/rig_file/text/regular_file.py", "twin/regular_file.py"]
 
 
@@ -25,7 +26,7 @@ def parts(path: str) -> dict[str, str]:
     return found
 
 
-@pytest.mark.parametrize("copies", [LAZY_NAMES, REGULAR_FILE], ids=["lazy_names", "regular_file"])
+@pytest.mark.parametrize("copies", [LAZY_NAMES, REGULAR_FILE, BOUNDED_TOML], ids=["lazy_names", "regular_file", "toml"])
 def test_what_copies_share_has_one_code(copies: list[str]) -> None:
     first, *others = [parts(path) for path in copies]
     for other in others:
@@ -34,6 +35,7 @@ def test_what_copies_share_has_one_code(copies: list[str]) -> None:
 
 
 def test_copies_are_whole() -> None:
-    assert all(set(parts(path)) == set(parts(LAZY_NAMES[0])) for path in LAZY_NAMES)
+    for copies in (LAZY_NAMES, BOUNDED_TOML):
+        assert all(set(parts(path)) == set(parts(copies[0])) for path in copies)
     for path in REGULAR_FILE:  # the limits of sizes differ
         assert {"_KINDS", "read_regular", "refuse_irregular"} <= set(parts(path))

@@ -50,6 +50,21 @@ def contradicted_unit(column: str, unit: str) -> str | None:
     return UNITS_OF_SUFFIX[suffix][0]
 
 
+def suffix_of(unit: str) -> str:
+    """Return the suffix of a column's name for a unit, itself where it has none."""
+    return next((suffix for suffix, ways in UNITS_OF_SUFFIX.items() if unit in ways), unit)
+
+
+def unit_other_than(column: str, declared: str, wanted: str) -> str | None:
+    """Return the unit of a column, by its name or as declared, where it is another one than `wanted`; else None."""
+    if celsius_conversion(column) is not None and wanted == "degC":
+        return column.rsplit("_", 1)[-1]
+    spellings = next((ways for ways in UNITS_OF_SUFFIX.values() if wanted in ways), (wanted,))
+    stated = declared.strip()
+    known = any(stated in ways for ways in UNITS_OF_SUFFIX.values()) and stated not in spellings
+    return contradicted_unit(column, wanted) or (stated if known else None)
+
+
 def celsius_conversion(column: str) -> tuple[str, str, str] | None:
     """Return unit, conversion and new name of a column whose name gives a temperature in another unit than degC, or
     None.

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 from drivers.importers.draft import Collector, Draft, ImportFileError, number, placeholder_in, read_text, whole
 from drivers.importers.sections import Sections, serial, tcp
 from drivers.importers.telegraf_types import byte_order, field_type, register_type
-from drivers.rig_file import line_of, shown
+from drivers.rig_file import line_of, parse_toml, shown
 
 _STYLE_TABLES = {
     "coils": "coil",
@@ -96,13 +96,13 @@ def import_telegraf(path: Path) -> Draft:
     """Return the draft of a Telegraf configuration; raise ImportFileError with the line and the remedy."""
     text = read_text(path)
     try:
-        document = tomllib.loads(text)
+        document = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
         where = next((line for line in text.splitlines() if placeholder_in(line.split("#")[0])), None)
         hint = "" if where is None else f"; write the value of {placeholder_in(where)} in its place"
         raise ImportFileError(path, None, f"is not valid TOML: {error}{hint}") from None
-    except (ValueError, RecursionError):
-        raise ImportFileError(path, None, "is not valid TOML: a number is too long or lists are too deep") from None
+    except ValueError as error:
+        raise ImportFileError(path, None, f"is not valid TOML: {error}") from None
     inputs = document.get("inputs")
     sections = inputs.get("modbus") if isinstance(inputs, dict) else None
     if not isinstance(sections, list) or not sections or not all(isinstance(item, dict) for item in sections):

@@ -7,8 +7,10 @@ sentence with its remedy.
 from __future__ import annotations
 
 import asyncio
+import base64
 import datetime
 import os
+import re
 import ssl
 import stat
 from pathlib import Path
@@ -63,7 +65,13 @@ def check_key(path: Path) -> None:
 
 def check_valid(path: Path) -> None:
     """Raise ConfigurationError where the first certificate of a PEM file is not valid now, by this machine's clock."""
-    begins, ends = validity(path)
+    try:
+        begins, ends = validity(path)
+    except (ValueError, IndexError, OSError) as error:
+        raise ConfigurationError(
+            f"{path}: the validity of its first certificate cannot be read ({error}); write it anew, with "
+            f"openssl x509 -in {path.name} -out new.pem"
+        ) from error
     now = datetime.datetime.now(datetime.UTC)
     if now > ends:
         raise ConfigurationError(f"{path}: has expired on {ends:%Y-%m-%d %H:%M} UTC; have it renewed")
@@ -74,17 +82,30 @@ def check_valid(path: Path) -> None:
 
 
 def validity(path: Path) -> tuple[datetime.datetime, datetime.datetime]:
-    """Return begin and end of the validity of a PEM file's first certificate (RFC 5280, 4.1.2.5); raise ValueError."""
-    text = read_regular(path).decode("ascii")
-    end = text.index(_END) + len(_END)
-    der = ssl.PEM_cert_to_DER_cert(text[text.index("-----BEGIN CERTIFICATE-----") : end])
+    """Return begin and end of the validity of a PEM file's first certificate (RFC 5280, 4.1.2.5).
+
+    Text around a certificate is explanatory, in any encoding (RFC 7468, 2). A trusted certificate of OpenSSL has its
+    trust settings behind the certificate.
+
+    Raises
+    ------
+    ValueError, IndexError
+        The file holds no certificate, or a damaged one. OSError: it cannot be read.
+    """
+    found = _CERTIFICATE.search(read_regular(path))
+    if found is None:
+        raise ValueError("no certificate is in it")
+    der = base64.b64decode(found[2])
     fields = _parts(_parts(_parts(der)[0][1])[0][1])
     after_version = fields[1:] if fields[0][0] == 0xA0 else fields
     begins, ends = (_time(tag, value) for tag, value in _parts(after_version[3][1]))
     return begins, ends
 
 
-_END = "-----END CERTIFICATE-----"
+_CERTIFICATE = re.compile(
+    rb"-----BEGIN ((?:TRUSTED |X509 )?CERTIFICATE)-----([A-Za-z0-9+/=\s]*)-----END \1-----", re.ASCII
+)
+"""PEM of a certificate, in the three labels that OpenSSL reads."""
 
 
 def _parts(der: bytes) -> list[tuple[int, bytes]]:

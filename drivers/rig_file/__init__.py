@@ -35,7 +35,15 @@ from drivers.rig_file.messages import mistake, shown
 from drivers.rig_file.model import Heartbeat, Point, Rig
 from drivers.rig_file.plain_values import checked_host
 from drivers.rig_file.reader import RigFileError, file_sha256, load_rig, located
-from drivers.rig_file.text import MOST_DESCRIPTION, decoded, line_of, read_regular, refuse_irregular, tables_of
+from drivers.rig_file.text import (
+    MOST_DESCRIPTION,
+    decoded,
+    line_of,
+    parse_toml,
+    read_regular,
+    refuse_irregular,
+    tables_of,
+)
 from drivers.rig_file.wires import device_of_bus, serial_device, wire_of_bus
 
 __all__ = [
@@ -81,6 +89,7 @@ __all__ = [
     "load_rig",
     "located",
     "mistake",
+    "parse_toml",
     "pgn_of",
     "read_regular",
     "refuse_irregular",

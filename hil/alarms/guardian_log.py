@@ -5,7 +5,6 @@ Its lines are JSON objects with time, `wall_s` and `what`; see `hil.guardian`. A
 
 from __future__ import annotations
 
-import json
 import os
 import stat
 import time
@@ -16,7 +15,7 @@ from typing import Any
 
 from hil.alarms.alarm_list import LATEST_S, Change
 from hil.alarms.definitions import GUARDIAN
-from hil.files import plain
+from hil.files import parse_json, plain
 
 NAME = "guardian.log"
 LONGEST_S = 3700.0
@@ -73,8 +72,8 @@ class GuardianLog:
 
     def _line(self, line: bytes) -> None:
         try:
-            entry = json.loads(line) if len(line) <= _BLOCK else None
-        except (ValueError, RecursionError):
+            entry = parse_json(line) if len(line) <= _BLOCK else None
+        except ValueError:
             return
         if not isinstance(entry, dict) or not 0.0 <= _number(entry.get("wall_s")) <= LATEST_S:
             return

@@ -23,7 +23,7 @@ from hil.alarms.errors import AlarmError, NotSentError
 from hil.alarms.outbox import Key, Outbox, is_announced, key_of, line_of, message
 from hil.alarms.states import WAITING
 from hil.alarms.watch import AlarmWatch
-from hil.files import plain, replacing
+from hil.files import parse_json, plain, replacing
 
 POLL_S = 0.5
 """Time from one look at the journal to the next, s: its rows are committed as often."""
@@ -276,9 +276,9 @@ def _sent_file(run: Path) -> Iterator[_Sent]:
 def _read_sent(path: Path) -> set[Key] | None:
     try:
         with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), encoding="utf-8") as file:
-            found = json.loads(file.read(LONGEST_FILE))["sent"]
+            found = parse_json(file.read(LONGEST_FILE))["sent"]
         return {(str(name), str(event), int(tick), float(wall_s)) for name, event, tick, wall_s in found}
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+    except (OSError, ValueError, TypeError, KeyError, OverflowError):
         raise AlarmError(f"{path} is damaged; remove it, and alarms that wait are sent again") from None

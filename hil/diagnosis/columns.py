@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import json
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +12,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.files import parse_json
 from hil.record import Parts, ReadingOptions, Record, read_record
 from hil.record.times import span
 from hil.record.values import beyond_declared
@@ -38,7 +38,7 @@ def clock_of(text: str) -> float:
 def datasheet_clock(record: Path) -> float | None:
     """Return the hour of day at 0 s from `clock_at_time_0` of a `datasheet.json` in the record's folder, or None."""
     try:
-        sheet = json.loads((record.parent / "datasheet.json").read_text(encoding="utf-8"))
+        sheet = parse_json((record.parent / "datasheet.json").read_text(encoding="utf-8"))
         return clock_of(str(sheet["clock_at_time_0"]))
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from drivers.rig_file import file_sha256, load_rig
+from hil.diagnosis.store import EXPERIMENT
+from hil.files import parse_json
 from hil.profile import Profile, SetpointLimit, validate, write_profile
 from hil.run.outputs import setpoint_columns
 from twin.discovery import Diagnosis, Limits
-
-EXPERIMENT = "experiment.csv"
 
 
 def limits_of(rig: Path) -> Limits:
@@ -33,7 +32,7 @@ def limits_of(rig: Path) -> Limits:
 def rig_of(run: Path) -> Path | None:
     """Return the rig file that a run folder names, or None if it has changed since the run."""
     try:
-        about = json.loads((run / "run.json").read_text(encoding="utf-8"))["files"]["rig"]
+        about = parse_json((run / "run.json").read_text(encoding="utf-8"))["files"]["rig"]
         path = Path(str(about["path"]))
         return path if file_sha256(path) == about["sha256"] else None
     except (OSError, ValueError, KeyError, TypeError):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import json
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata
@@ -12,7 +11,18 @@ from typing import Any
 
 from drivers.rig_file import file_sha256
 from hil import __version__
-from hil.diagnosis.store import CURVES, DOCUMENT, PAGE, REVIEW, curves_of, write_curves, write_document
+from hil.diagnosis.store import (
+    CURVES,
+    DOCUMENT,
+    EXPERIMENT,
+    PAGE,
+    PROPOSAL,
+    REVIEW,
+    curves_of,
+    write_curves,
+    write_document,
+)
+from hil.files import parse_json
 from twin.discovery import Diagnosis
 
 
@@ -54,7 +64,8 @@ def provenance(
 def write(diagnosis: Diagnosis, sensors: tuple[str, ...], out: Path, extra: dict[str, object]) -> Path:
     """Write document, curves and page into the folder; return the page. `sensors` are the twin's.
 
-    A diagnosis that was made there with another twin is kept in a folder below, `before-1` and so on.
+    A diagnosis that was made there of another record or with another twin is kept in a folder below, `before-1` and
+    so on.
     """
     from hil.diagnosis.page import write_page
 
@@ -64,32 +75,43 @@ def write(diagnosis: Diagnosis, sensors: tuple[str, ...], out: Path, extra: dict
 
 def write_data(diagnosis: Diagnosis, sensors: tuple[str, ...], out: Path, extra: dict[str, object]) -> None:
     """Write document and curves as `write` does, without the page."""
-    _keep_other(out, _twin_of(extra))
+    _keep_other(out, extra)
     out.mkdir(parents=True, exist_ok=True)
     write_document({**diagnosis.document(), **extra}, out)
     write_curves(curves_of(diagnosis, sensors), out / CURVES)
 
 
-def _keep_other(folder: Path, twin: str | None) -> None:
-    """Move the files of a diagnosis with another twin than that of this SHA-256 out of the way."""
+def _keep_other(folder: Path, extra: Mapping[str, Any]) -> None:
+    """Move the files of a diagnosis of other inputs out of the way."""
     try:
-        there = _twin_of(json.loads((folder / DOCUMENT).read_bytes()))
+        there = parse_json((folder / DOCUMENT).read_bytes())
     except (OSError, ValueError):
         return
-    if there is None or there == twin:
+    if _sha256(there, "twin") is None or _is_same(there, extra):
         return
     number = 1
     while (kept := folder / f"before-{number}").exists():
         number += 1
     kept.mkdir()
-    for name in (DOCUMENT, CURVES, PAGE, REVIEW):
+    for name in (DOCUMENT, CURVES, PAGE, REVIEW, EXPERIMENT, PROPOSAL):
         if (folder / name).is_file():
             (folder / name).rename(kept / name)
 
 
-def _twin_of(document: Mapping[str, Any]) -> str | None:
-    """Return the SHA-256 of the twin of a diagnosis, None where it does not say."""
+def _is_same(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Return True for diagnoses of one twin and one record.
+
+    The record of a run that goes on has no checksum in its diagnosis: its path counts.
+    """
+    if _sha256(one, "twin") != _sha256(other, "twin"):
+        return False
+    records = _sha256(one, "record"), _sha256(other, "record")
+    return one.get("record") == other.get("record") if None in records else records[0] == records[1]
+
+
+def _sha256(document: Mapping[str, Any], file: str) -> str | None:
+    """Return the SHA-256 of a file of a diagnosis, None where it does not say."""
     try:
-        return str(document["provenance"]["files"]["twin"]["sha256"])
+        return str(document["provenance"]["files"][file]["sha256"])
     except (KeyError, TypeError):
         return None

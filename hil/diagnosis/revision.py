@@ -9,11 +9,10 @@ from pathlib import Path
 from types import MappingProxyType
 
 from hil.diagnosis.columns import CLOCK
+from hil.diagnosis.store import PROPOSAL
 from hil.files import printable
 from twin import Network, Revision, save, save_revision
 from twin.discovery import Diagnosis
-
-PROPOSAL = "empirical.toml"
 
 
 def revise(diagnosis: Diagnosis, network: Network, twin: Path, record: Path, *, empirical: bool = False) -> Path | None:

@@ -103,12 +103,19 @@ class PreparedDiagnosis:
 
 @dataclass(frozen=True)
 class Written:
-    """Files of a diagnosis; None for those that it did not make."""
+    """Files of a diagnosis; None for those that it did not make.
+
+    Attributes
+    ----------
+    unsaved
+        Reason why the revision could not be saved; "" where it was, or there is none.
+    """
 
     page: Path | None = None
     revision: Path | None = None
     experiment: Path | None = None
     proposal: Path | None = None
+    unsaved: str = ""
 
 
 def prepare(request: DiagnosisRequest) -> PreparedDiagnosis:
@@ -210,7 +217,13 @@ def write_results(
         False leaves the page with its figures out, which take a third of the time.
     """
     request = ready.request
-    revision = revise(found, ready.twin, request.twin, request.record, empirical=empirical)
+    revision, unsaved = None, ""
+    try:
+        revision = revise(found, ready.twin, request.twin, request.record, empirical=empirical)
+    except OSError as error:
+        unsaved = f"{request.twin.parent}: {error.strerror or error}; make it writable, or copy the twin elsewhere"
+    except TwinFileError as error:
+        unsaved = str(error)
     extra = described(ready, revision, began)
     files = {"record": request.record, "twin": request.twin, "healthy record": ready.healthy_file}
     files |= {f"later record {number}": path for number, path in enumerate(request.more, start=1)}
@@ -222,7 +235,7 @@ def write_results(
     else:
         write_data(found, ready.network.sensor_names, folder, extra)
     proposal = write_proposal(found, ready.twin, request.record, folder)
-    return Written(drawn, revision, write_experiment(found, folder, request.rig), proposal), extra
+    return Written(drawn, revision, write_experiment(found, folder, request.rig), proposal, unsaved), extra
 
 
 def _options(ready: PreparedDiagnosis) -> list[str]:

@@ -17,10 +17,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from hil.files import read_json, read_parquet, replacing, require_size
+from hil.files import parse_json, read_json, read_parquet, replacing, require_size
 from twin.discovery import Diagnosis
 
 DOCUMENT, CURVES, PAGE, REVIEW = "diagnosis.json", "diagnosis.parquet", "diagnosis.html", "diagnosis.rrd"
+EXPERIMENT, PROPOSAL = "experiment.csv", "empirical.toml"
 _KEY = b"hil.diagnosis"
 
 Floats = NDArray[np.float64]
@@ -95,10 +96,10 @@ def read_curves(path: Path) -> ResidualCurves:
     try:
         require_size(path, DiagnosisFolderError, 1)
         table = read_parquet(path, pa.BufferReader(path.read_bytes()), DiagnosisFolderError)
-        about = json.loads(table.schema.metadata[_KEY])
+        about = parse_json(table.schema.metadata[_KEY])
     except DiagnosisFolderError:
         raise
-    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError) as error:
+    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
         raise DiagnosisFolderError(f"{path} holds no curves of a diagnosis ({error}); diagnose again") from error
     try:
         return _curves_of(table, about)

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.files.atomic import replacing
+    from hil.files.atomic import replacing, require_writable
     from hil.files.estimates import estimate_text
     from hil.files.folder_check import read_json, require_plain, require_unshared
     from hil.files.held_folder import held, replacing_all, require_complete, take_lock
     from hil.files.html import Html, document, element, image, joined, plot_data, table
+    from hil.files.json_text import parse_json
     from hil.files.limits import TEXT_COPIES, Failure, read_parquet, require_cells, require_columns, require_size
     from hil.files.line_file import append_line, read_lines
     from hil.files.names import (
@@ -48,6 +49,7 @@ __all__ = [
     "joined",
     "longest_name",
     "on_terminal",
+    "parse_json",
     "plain",
     "plot_data",
     "printable",
@@ -62,6 +64,7 @@ __all__ = [
     "require_plain",
     "require_size",
     "require_unshared",
+    "require_writable",
     "safe_file_name",
     "table",
     "take_lock",
@@ -71,7 +74,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "atomic": ("replacing",),
+        "atomic": ("replacing", "require_writable"),
         "estimates": ("estimate_text",),
         "folder_check": (
             "read_json",
@@ -93,6 +96,7 @@ __getattr__, __dir__ = lazy_names(
             "plot_data",
             "table",
         ),
+        "json_text": ("parse_json",),
         "limits": (
             "Failure",
             "TEXT_COPIES",

@@ -4,10 +4,30 @@ from __future__ import annotations
 
 import contextlib
 import os
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from hil.files.limits import Failure
 from hil.files.names import LONGEST_NAME
+
+
+def require_writable(folder: Path, failure: Failure, remedy: str = "make it writable, or choose another place") -> None:
+    """Check that files can be made in a folder, or in the nearest folder above where it does not exist yet.
+
+    A file without a name is made: permissions alone do not show a file system that is read-only.
+
+    Raises
+    ------
+    failure
+        No file can be made there, in one sentence with the `remedy`.
+    """
+    nearest = next((one for one in (folder, *folder.absolute().parents) if one.exists()), folder)
+    try:
+        with tempfile.TemporaryFile(dir=nearest):
+            pass
+    except OSError as error:
+        raise failure(f"{folder}: no file can be written there ({error.strerror or error}); {remedy}") from None
 
 
 @contextlib.contextmanager

@@ -6,12 +6,12 @@ could block a reader for ever. JSON is read up to a limit of size and depth.
 
 from __future__ import annotations
 
-import json
 import os
 import stat
 from pathlib import Path
 from typing import Any
 
+from hil.files.json_text import parse_json
 from hil.files.limits import MOST_JSON, Failure
 
 CONTROL = "control.sock"
@@ -70,10 +70,8 @@ def read_json(path: Path, failure: Failure) -> Any:
             raise failure(f"{path} has {status.st_size / 1e6:.0f} MB, and at most {MOST_JSON / 1e6:.0f} MB are read")
         content = file.read()
     try:
-        return json.loads(content)
-    except RecursionError:
-        raise failure(f"{path} is damaged (it is nested too deeply)") from None
-    except ValueError as error:  # no JSON, no UTF-8, or a number of thousands of digits
+        return parse_json(content)
+    except ValueError as error:
         raise failure(f"{path} is damaged ({error})") from None
 
 

@@ -91,8 +91,8 @@ def require_size(path: Path, failure: Failure, copies: int = TEXT_COPIES, most: 
         raise _too_large(path, f"{_size(status.st_size)}", status.st_size * copies, limit, failure)
 
 
-def require_columns(path: Path, count: int, failure: Failure) -> None:
-    """Check the number of columns of a record; raises `failure`."""
+def require_columns(path: Path | str, count: int, failure: Failure) -> None:
+    """Check the number of columns of a record; raises `failure`, whose sentence begins with `path`."""
     most = _most_columns(failure)
     if count > most:
         raise failure(

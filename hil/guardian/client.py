@@ -55,6 +55,13 @@ class GuardianReport:
     problem: str
     meters: dict[str, float] = field(default_factory=dict)
 
+    def sentence(self, *, run_is_safe: bool) -> str:
+        """Return reason and result for the end of a run, which may have read the safe values back itself."""
+        if self.safe:
+            return f"{self.reason}; safe values read back"
+        since = "; the run itself has read the safe values back" if run_is_safe else ""
+        return f"{self.reason}; {self.problem}{since}"
+
 
 class Guard(Protocol):
     """Interface of a guardian for the engine."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.files import read_parquet, replacing
+from hil.files import read_json, read_parquet, replacing
 from hil.journal.profile_clock import profile_times
 from hil.journal.rows import JournalError
 from hil.journal.writer import JournalReader
@@ -69,7 +69,7 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
         reader.close()
     if metadata is None:
         manifest = journal.with_name("run.json")
-        metadata = json.loads(manifest.read_text(encoding="utf-8")) if manifest.is_file() else {}
+        metadata = read_json(manifest, JournalError) if manifest.is_file() else {}
     about = {
         "profile": header.profile,
         "period_s": header.period_s,

@@ -22,7 +22,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from hil.alarms import AlarmError
-from hil.files import plain
+from hil.files import parse_json, plain
 from hil.journal import JournalError
 from hil.panel.access import FOLDER_POLICY, HEADERS, Access
 from hil.panel.errors import PanelError
@@ -319,8 +319,8 @@ async def _body(request: Request) -> dict[str, Any]:
         if len(body) > MOST_BODY:
             raise PanelError(f"a request has at most {MOST_BODY} bytes; shorten the text")
     try:
-        found = json.loads(body)
-    except (ValueError, RecursionError):
+        found = parse_json(body)
+    except ValueError:
         raise PanelError("the request is no JSON") from None
     if not isinstance(found, dict):
         raise PanelError("the request is no JSON object")

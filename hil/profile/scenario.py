@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 import re
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from drivers.rig_file import line_of, mistake, read_regular
+from drivers.rig_file import line_of, mistake, parse_toml, read_regular
 from drivers.signals import split_column
 from hil.profile.load_profile import Profile
 
@@ -158,13 +157,11 @@ def read_scenario(path: Path) -> Scenario:
     """Read the scenario in the TOML file at `path`; raise ScenarioError with a sentence for every problem."""
     try:
         text = read_regular(path).decode("utf-8")
-        document = tomllib.loads(text)
+        document = parse_toml(text)
     except OSError as error:
         raise ScenarioError(f"{path} cannot be read ({error.strerror}); give the path of a scenario") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise ScenarioError(f"{path} is not valid TOML: {error}") from error
-    except (ValueError, RecursionError):
-        raise ScenarioError(f"{path} is not valid TOML: a number is too long or lists are too deep") from None
     try:
         return Scenario(**{**document, "path": path})
     except ValidationError as error:

@@ -90,7 +90,7 @@ def without_jumps(raw: RawRecord, axis: TimeAxis) -> tuple[NDArray[np.float64], 
         if not few:
             early, late = sorted((far, near), key=lambda side: float(out[side[0]]))
             jump = int(late.min())
-            if step < YEAR_S or axis.start is None or jump < early.min():  # `order` refuses a step back.
+            if step < YEAR_S or jump < early.min():  # `order` refuses a step back.
                 break
             raise RecordError(
                 f"{raw.path} {raw.place(jump)}: the time goes on by {step / YEAR_S:.3g} years, as that of a clock that "

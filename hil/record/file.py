@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from hil.files import TEXT_COPIES, read_parquet, require_size
+from hil.files import TEXT_COPIES, parse_json, read_parquet, require_size
 from hil.record.csv_file import EncodingError, read_csv, utf8
 from hil.record.layouts import one_below_the_other, one_column_a_series, one_column_a_source
 from hil.record.raw import RawRecord, RecordError, unique
@@ -164,7 +163,7 @@ def _told(metadata: Mapping[bytes, bytes] | None, key: bytes) -> str:
 def _range(text: str) -> tuple[float, float] | None:
     """Return the range that a column's metadata declares as a JSON list of two numbers; None where it declares none."""
     try:
-        low, high = json.loads(text)
+        low, high = parse_json(text)
         return float(low), float(high)
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         return None

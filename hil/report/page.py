@@ -180,11 +180,15 @@ def _parameter_table(manifest: dict[str, Any]) -> Html:
     if not parameters:
         return joined([])
     names = dict.fromkeys(name for values in parameters.values() for name in values)
-    rows = [[name, *(parameter_cell(values.get(name)) for values in parameters.values())] for name in names]
+    units = manifest.get("parameter_units") or {}
+    rows = [
+        [name, *(parameter_cell(values.get(name)) for values in parameters.values()), units.get(name, "")]
+        for name in names
+    ]
     note = "held: not identifiable from the record, or a gate is closed; the value is older than the end."
     adopted = manifest.get("adoption")
     became = [element("p", adopted["sentence"])] if adopted else []
-    return _part("Parameters at the end, ± 90 %", table(["parameter", *parameters], rows), _note(note), *became)
+    return _part("Parameters at the end, ± 90 %", table(["parameter", *parameters, "unit"], rows), _note(note), *became)
 
 
 def _gates(reader: JournalReader, unit: TimeUnit) -> Html:

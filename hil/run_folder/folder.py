@@ -177,8 +177,7 @@ class RunFolder:
             try:
                 take_lock(handle)
             except BlockingIOError:
-                asked = f"ask it with `hil ctl status {shlex.quote(str(self.path))}`"
-                raise RunFolderError(f"{self.path} is a run that still goes on; {asked}") from None
+                raise RunFolderError(self._why_held()) from None
             except OSError:
                 pass
             self._held.append(handle)
@@ -187,6 +186,14 @@ class RunFolder:
             if handle in self._held:
                 self._held.remove(handle)
             os.close(handle)
+
+    def _why_held(self) -> str:
+        """Return the sentence on a folder that another process holds: a live run, or a command on an ended one."""
+        with contextlib.suppress(RunFolderError, OSError):
+            if self.read_manifest().get("exit_status") != "running":
+                return f"{self.path}: another process makes the files of this run; wait until it has ended"
+        asked = f"ask it with `hil ctl status {shlex.quote(str(self.path))}`"
+        return f"{self.path} is a run that still goes on; {asked}"
 
     def located(self) -> RunFolder:
         """Return the folder at its present path, which differs if somebody moved it while it was locked.

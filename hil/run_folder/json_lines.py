@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from hil.files import Failure, append_line, plain, read_lines
+from hil.files import Failure, append_line, parse_json, plain, read_lines
 from hil.run_folder.manifest_check import DocumentShape, wrong_place
 
 MOST_BYTES = 8 * 10**6
@@ -61,9 +61,9 @@ def read_json_lines(path: Path, shape: type[Shape], what: str, failure: Failure)
     for number, line in lines:
         place = f"{path}, line {number}"
         try:
-            found.append((place, shape.model_validate(json.loads(line))))
+            found.append((place, shape.model_validate(parse_json(line))))
         except ValidationError as error:
             raise failure(f"{place} is {what}: {wrong_place(error)}; take the line out") from None
-        except (ValueError, RecursionError) as error:
+        except ValueError as error:
             raise failure(f"{place} is {what} ({plain(str(error), 100)}); take the line out") from None
     return found

@@ -115,6 +115,7 @@ class _Manifest(DocumentShape):
     errors_K: _Errors | None = None
     bands: dict[str, dict[str, tuple[float | None, float | None]]] | None = None
     parameters: dict[str, dict[str, tuple[float, float | None, bool]]] | None = None
+    parameter_units: dict[str, str] | None = None
     adoption: _ManifestAdoption | None = None
     labels: _Labels = Field(default_factory=_Labels)
     verdict: Literal["pass", "fail", "inconclusive"] | None = None

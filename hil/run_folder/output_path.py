@@ -6,7 +6,7 @@ import fnmatch
 from collections.abc import Iterable
 from pathlib import Path
 
-from hil.files import Failure
+from hil.files import Failure, require_writable
 
 _OWN = (
     "journal.sqlite*",
@@ -46,12 +46,13 @@ def require_output(path: Path, failure: Failure, sources: Iterable[Path] = ()) -
     Raises
     ------
     failure
-        It is a folder, it has none, or it is a file of a run or a source; one sentence.
+        It is a folder, it has none or one that cannot be written, or it is a file of a run or a source; one sentence.
     """
     if path.is_dir():
         raise failure(f"{path} is a folder; name a file")
     if not path.parent.is_dir():
         raise failure(f"{path.parent} is no folder that is there; make it, or choose another place")
+    require_writable(path.parent, failure)
     if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
         raise failure(f"{path} is a file that this command reads; choose another name")
     place = path.resolve()  # a link leads to the file that would be lost

@@ -8,7 +8,7 @@ import os
 import time
 from pathlib import Path
 
-from hil.files import replacing
+from hil.files import parse_json, replacing
 from hil.stream.address import Address
 from hil.stream.errors import StreamError
 from hil.stream.store import Position
@@ -61,7 +61,7 @@ class PositionFile:
             The file is damaged.
         """
         try:
-            document = json.loads(self._path.read_text(encoding="utf-8"))
+            document = parse_json(self._path.read_text(encoding="utf-8"))
             tick, event = document["tick"], document["event"]
             if type(tick) is not int or type(event) is not int:
                 raise TypeError
@@ -69,7 +69,7 @@ class PositionFile:
                 return None
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        except (OSError, ValueError, TypeError, KeyError):
             raise StreamError(f"{self._path} is damaged; remove it, and the run is sent from its start again") from None
         return Position(tick, event)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.files import parse_json
 from hil.record import ReadingOptions, RecordError
 from hil.tower.calibration import read_points
 from hil.tower.station import (
@@ -144,7 +145,7 @@ def _record(path: Path) -> CheckedFile:
 def _alignment(path: Path, problems: list[str]) -> list[str]:
     """Return lines on the defects and remarks of the alignment."""
     try:
-        found = json.loads(path.read_text())
+        found = parse_json(path.read_text())
         kinds = [one["type"] for one in found["defects"]]
         remarks = [str(text) for text in found["remarks"]]
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
+
+from hil.files import parse_json
 
 HEADINGS = {
     "tags": {"tag", "role"},
@@ -70,8 +71,8 @@ def _of_json(path: Path) -> str | None:
     if path.name in OF_RECORD and any(path.parent.glob("cell*.parquet")):
         return "part"
     try:
-        found = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (ValueError, RecursionError):
+        found = parse_json(path.read_text(encoding="utf-8-sig"))
+    except ValueError:
         return "datasheet" if path.name == "datasheet.json" else None
     return "datasheet" if isinstance(found, dict) and len(DATASHEET & set(found)) >= 2 else None
 

@@ -49,6 +49,7 @@ class Replay:
             "errors_K": dataclasses.asdict(self.comparison.errors),
             "bands": self.comparison.bands,
             "parameters": self.comparison.parameters,
+            "parameter_units": self.comparison.units,
             "left_out": twins.left_out,
             "tuned": twins.tuning(),
             "outdone": self.comparison.outdone,

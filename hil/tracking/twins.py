@@ -136,19 +136,22 @@ class Comparison:
         it is held because it is not identifiable.
     outdone
         Calibrator -> a sentence, where the commissioned twin predicts better; see `PredictionErrors`.
+    units
+        Parameter -> its unit.
     """
 
     errors: ErrorTable
     bands: dict[str, dict[str, tuple[float, float]]] = field(default_factory=dict)
     parameters: dict[str, dict[str, tuple[float, float | None, bool]]] = field(default_factory=dict)
     outdone: dict[str, str] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
 
     def joined_with(self, other: Comparison) -> Comparison:
         """Return both comparisons in one."""
         rows = {sensor: cells + other.errors.rows[sensor] for sensor, cells in self.errors.rows.items()}
         errors = ErrorTable(self.errors.columns + other.errors.columns, rows, self.errors.noise_K)
         parameters, outdone = self.parameters | other.parameters, self.outdone | other.outdone
-        return Comparison(errors, self.bands | other.bands, parameters, outdone)
+        return Comparison(errors, self.bands | other.bands, parameters, outdone, self.units | other.units)
 
 
 class Twins:
@@ -268,7 +271,8 @@ class Twins:
             for name, errors_so_far in self._prediction_errors.items()
             if errors_so_far.outdone
         }
-        return Comparison(errors, self._bands.table(), parameters, outdone)
+        units = {name: self.network.parameters[name].unit for values in parameters.values() for name in values}
+        return Comparison(errors, self._bands.table(), parameters, outdone, units)
 
     def tuning(self) -> list[str]:
         """Describe the tuned parameters and window lengths, one sentence for all calibrators that agree."""

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from drivers.modbus.bus import ModbusBus
-from drivers.modbus.tls import check_key, client_context
+from drivers.modbus.tls import check_key, check_valid, client_context, validity
 from drivers.rig_file.bus_sections import ModbusTlsBus
 from drivers.rig_file.reader import RigFileError, load_rig
 from drivers.signals.points import ConfigurationError, LinkError, Quality
@@ -174,6 +174,27 @@ def test_files_that_are_no_certificate_are_named(tmp_path):
     ):
         with pytest.raises(ConfigurationError, match=said):
             client_context(ModbusTlsBus(transport="modbus_tls", **(files | changes)))
+
+
+def test_text_around_a_certificate_and_a_trusted_one_of_openssl_are_read(tmp_path):
+    files = make_certificates(tmp_path).harness
+    pem = files["certificate"].read_bytes()
+    odd = tmp_path / "odd.pem"
+    trusted = subprocess.run(
+        ["openssl", "x509", "-trustout", "-addtrust", "clientAuth"], input=pem, capture_output=True, check=True
+    ).stdout
+    assert b"TRUSTED CERTIFICATE" in trusted
+    for content in ("subject=O=Müller\n".encode() + pem, trusted):
+        odd.write_bytes(content)
+        assert validity(odd) == validity(files["certificate"])
+        client_context(ModbusTlsBus(transport="modbus_tls", **(files | {"certificate": odd})))
+
+
+def test_a_certificate_whose_validity_cannot_be_read_is_one_sentence(tmp_path):
+    odd = tmp_path / "odd.pem"
+    odd.write_bytes(b"-----BEGIN CERTIFICATE-----\nMAA=\n-----END CERTIFICATE-----\n")
+    with pytest.raises(ConfigurationError, match=r"odd\.pem: the validity of its first certificate cannot be read"):
+        check_valid(odd)
 
 
 def test_a_key_with_a_password_is_refused_and_not_asked_for(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
 from drivers.rig_file.text.toml_lines import key_lines, line_of, tables_of
@@ -74,6 +76,21 @@ def test_text_that_is_no_toml_gives_the_lines_found_so_far():
 def test_text_that_cannot_be_read_is_a_value_error_with_a_remedy(raw):
     with pytest.raises(ValueError, match=r"is not (valid TOML|UTF-8 text).*(correct it|save it|take one of them out)"):
         tables_of(raw)
+
+
+@pytest.mark.parametrize("text", ["[{}]", "a = 1\n{} = 1", "a = {{ {} = 1 }}", "['x'.{}]"])
+@pytest.mark.parametrize("dot", [".", " . "])
+def test_a_key_of_very_many_parts_is_refused_before_it_is_parsed(text, dot):
+    key = dot.join(["ab"] * 200_000)
+    began = time.monotonic()
+    with pytest.raises(ValueError, match=r"is not valid TOML: the key in line \d has more than 50 parts"):
+        tables_of(text.format(key).encode())
+    assert time.monotonic() - began < 5.0  # tomllib takes minutes
+
+
+def test_long_names_numbers_and_texts_are_no_long_keys():
+    text = f"{'a' * 100_000} = [{'1.5, ' * 10_000}]\nb.c.d.'e.f' = 'so. it. goes.'\n"
+    assert tables_of(text.encode())[1]["b"] == {"c": {"d": {"e.f": "so. it. goes."}}}
 
 
 @pytest.mark.parametrize(

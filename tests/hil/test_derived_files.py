@@ -222,6 +222,13 @@ def test_a_live_run_is_not_reported(tmp_path):
         regenerate_files(folder, False, lambda text: None)
 
 
+def test_an_ended_run_whose_files_another_command_makes_is_not_called_live(tmp_path):
+    folder, manifest = made(tmp_path / "run")
+    folder.write_manifest(manifest)
+    with folder.owned(), pytest.raises(RunFolderError, match="another process makes the files of this run; wait"):
+        regenerate_files(folder, False, lambda text: None)
+
+
 def test_record_and_review_are_made_again_where_they_are_older_or_it_is_asked(tmp_path):
     folder, manifest = made(tmp_path / "run")
     derive_files(folder, manifest, lambda text: None)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from hil.files import held
 from tests.discovery.conftest import Bench
 from tests.discovery.test_records import TWINS, cooler
 from tests.hil.command_line import hil
@@ -78,3 +80,30 @@ def test_a_table_of_steady_states_grows_a_twin(tmp_path: Path) -> None:
     grown = load(tmp_path / "cooler.r1.toml")
     assert grown.parameters["fins.fan_exponent"].value == pytest.approx(0.65, abs=0.05)
     assert grown.revision.error_after_K["T_out_C"] < 0.3 * grown.revision.error_before_K["T_out_C"]
+
+
+def test_a_folder_that_cannot_be_written_or_is_in_use_is_refused_before_anything_is_computed(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil.diagnosis.diagnose_files", None)
+    typed = ["diagnose", place / "hot.parquet", "--twin", place / "twin.toml", "--out"]
+    code, printed = hil(*typed, "/proc/results")
+    assert code == 2 and "/proc/results: no file can be written there" in printed and "--dry" in printed
+    with held(tmp_path / "out", ValueError):
+        code, printed = hil(*typed, tmp_path / "out")
+    assert code == 2 and "another process works on this folder" in printed
+
+
+@pytest.mark.parametrize(("function", "said"), [("revise", "no revision of the twin is saved"), ("write", "hil: ")])
+def test_the_verdict_is_printed_although_a_result_cannot_be_written(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, function: str, said: str
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", "somewhere")
+
+    monkeypatch.setattr(f"hil.diagnosis.session.{function}", full)
+    given = ["--twin", place / "twin.toml", "--healthy", place / "good.parquet"]
+    code, printed = hil("diagnose", place / "hot.parquet", *given, "--out", tmp_path / "out")
+    assert code == (1 if function == "revise" else 2)
+    assert "effect found" in printed and said in printed and "No space left on device" in printed
+    assert (tmp_path / "out" / "diagnosis.html").exists() == (function == "revise")

@@ -72,6 +72,27 @@ def test_a_diagnosis_with_another_twin_is_kept_and_one_with_the_same_twin_is_rep
     assert (tmp_path / "before-2" / CURVES).is_file() and (tmp_path / "mine.txt").is_file()
 
 
+def test_a_diagnosis_of_another_record_is_kept_with_its_experiment(tmp_path: Path) -> None:
+    def document(of: str, record: str | None, path: str = "a.csv") -> dict[str, object]:
+        files = {"twin": {"path": "twin.toml", "sha256": "t"}}
+        if record is not None:
+            files["record"] = {"path": path, "sha256": record}
+        return {"provenance": {"files": files}, "record": path, "of": of}
+
+    for extra in (
+        document("first", "1"),
+        document("again", "1", "copy.csv"),
+        document("other", "2"),
+        document("live", None, "run"),
+        document("later", None, "run"),
+    ):
+        write(made(), SENSORS, tmp_path, extra)
+        (tmp_path / "experiment.csv").write_text(str(extra["of"]), encoding="utf-8")
+    found = {str(p.parent.relative_to(tmp_path)): json.loads(p.read_text())["of"] for p in tmp_path.rglob(DOCUMENT)}
+    assert found == {".": "later", "before-1": "again", "before-2": "other"}
+    assert (tmp_path / "before-2" / "experiment.csv").read_text(encoding="utf-8") == "other"
+
+
 def test_a_folder_without_curves_is_one_sentence(tmp_path, folder):
     assert has_diagnosis(folder) and not has_diagnosis(tmp_path)
     (tmp_path / CURVES).write_text("no parquet", encoding="utf-8")

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import os
+from pathlib import Path
 
 import click
 import pytest
 from click.testing import CliRunner
 
 from hil.cli.verbs import group
+from hil.errors import explained
 from hil.run_folder import RunFolderError, require_output
 from tests.docs.fences import PROJECT
 from tests.hil.command_line import typed
@@ -71,6 +74,36 @@ def test_a_source_is_refused_by_each_of_its_names(tmp_path):
     for path in (source, other):
         with pytest.raises(RunFolderError, match="this command reads"):
             require_output(path, RunFolderError, [source])
+
+
+def test_a_folder_in_which_no_file_can_be_made_is_refused():
+    with pytest.raises(RunFolderError, match=r"^/proc: no file can be written there .*; make it writable, or choose"):
+        require_output(Path("/proc/network.svg"), RunFolderError)  # not even by root
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (PermissionError(errno.EACCES, "Permission denied", "/x/out.csv"), 2, "/x/out.csv: Permission denied; give"),
+        (OSError(errno.ENOSPC, "No space left on device"), 2, "a file: No space left on device; make room"),
+    ],
+)
+def test_a_refusal_of_the_file_system_is_one_sentence(capsys, error, code, said):
+    with pytest.raises(SystemExit) as caught, explained():
+        raise error
+    assert caught.value.code == code
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", ["commission", "track", "run", "test", "explain", "rig", "train"])
+def test_a_seed_is_no_negative_number(tmp_path, verb):
+    command = group.get_command(None, verb)
+    commands = command.commands.values() if isinstance(command, click.Group) else [command]
+    seeds = [option for one in commands for option in one.params if "--seed" in option.opts]
+    assert seeds
+    for option in seeds:
+        with pytest.raises(click.BadParameter):
+            option.type.convert("-1", option, None)
 
 
 INPUTS = {"--notify-file", "--cert", "--key", "--trust", "--runs"}

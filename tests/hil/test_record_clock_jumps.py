@@ -38,6 +38,14 @@ def test_many_rows_before_the_clock_was_set_are_refused_at_the_line_where_it_was
         read(tmp_path, [m.isoformat() for m in moments], "timestamp")
 
 
+@pytest.mark.parametrize("name", ["time_s", "time_min", "timestamp"])
+def test_a_step_of_more_than_a_year_between_many_rows_is_refused_in_every_kind_of_time(tmp_path, name):
+    first, per_s = (START, 1.0) if name == "timestamp" else (0, 1.0 / 60.0 if name == "time_min" else 1.0)
+    times = [first + (30 * k + (400 * 86_400 if k >= N // 2 else 0)) * per_s for k in range(N)]
+    with pytest.raises(RecordError, match=r"line 32: the time goes on by 1.1 years"):
+        read(tmp_path, times, name)
+
+
 def test_two_rows_before_the_clock_was_set_are_left_out_and_the_record_begins_after_them(tmp_path):
     moments = [datetime.datetime(2026, 3, 4) + datetime.timedelta(seconds=30 * k) for k in range(N)]
     moments[:2] = [datetime.datetime(2000, 1, 1), datetime.datetime(2000, 1, 1, 0, 0, 30)]

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -186,3 +187,23 @@ def test_what_is_let_through_takes_no_more_than_was_foreseen(tmp_path: Path) -> 
         command = [sys.executable, "-c", CHECK, str(path)]
         used.append(int(subprocess.run(command, capture_output=True, text=True, check=True).stdout))
     assert used[1] - used[0] < 1.2 * record_limits.COPIES * 8 * rows * (columns + 1)
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", " "])
+def test_too_many_columns_are_refused_by_the_heading(tmp_path: Path, delimiter: str) -> None:
+    count = 20_001
+    path = tmp_path / "wide.csv"
+    lines = [["time_s", *(f"c{k}_C" for k in range(count - 1))], *([str(20 + row)] * count for row in range(3))]
+    path.write_text("\n".join(delimiter.join(line) for line in lines) + "\n", encoding="utf-8")
+    began = time.monotonic()
+    with pytest.raises(RecordError, match=rf"^{re.escape(str(path))} has {count} columns, and at most 4096 are read"):
+        read_record(path)
+    assert time.monotonic() - began < 5.0  # to interpret the heading first takes 15 s
+
+
+def test_a_limit_of_columns_that_is_no_number_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HIL_COLUMN_LIMIT", "many")
+    path = tmp_path / "record.csv"
+    path.write_text("time_s,T_C\n0,20\n1,21\n", encoding="utf-8")
+    with pytest.raises(RecordError, match=r"record\.csv: HIL_COLUMN_LIMIT is 'many', which is no number of columns"):
+        read_record(path)

@@ -9,9 +9,11 @@ import pytest
 
 import hil.run.session.terminal
 from hil.diagnosis.live import Reply, interim_finding
+from hil.guardian.client import GuardianReport
 from hil.run.engine.status import Outcome
 from hil.run.session.run import RunResult
-from hil.run.session.terminal import ProgressBar, RunProgress, closing_advice
+from hil.run.session.terminal import ProgressBar, RunProgress, closing_advice, parameter_table
+from hil.tracking.twins import Comparison, ErrorTable
 from tests.hil.made_diagnosis import SAYS, SENSORS, made
 
 
@@ -94,3 +96,18 @@ def test_the_safety_sentence_comes_last_and_a_resume_only_after_a_look_at_the_ri
     assert closing_advice(Outcome("done", "", ticks=10, safe=True), tmp_path) == []
     (done,) = closing_advice(Outcome("done", "", ticks=10, safe=True, away="heater still reads 40 W"), tmp_path)
     assert done.startswith("The rig was NOT confirmed safe")
+
+
+def test_parameters_at_the_end_have_their_units(capsys):
+    values = {"static": {"loop.factor": (1.0, None, False)}, "pso": {"loop.factor": (0.9, 0.01, False)}}
+    print_to = hil.run.session.terminal.console()
+    print_to.print(parameter_table(Comparison(ErrorTable((), {}), parameters=values, units={"loop.factor": "W/K"})))
+    out = capsys.readouterr().out
+    assert "unit" in out and "W/K" in out
+
+
+@pytest.mark.parametrize(("safe", "itself"), [(True, True), (False, False)])
+def test_a_guardian_without_an_answer_does_not_outlast_a_run_that_is_safe(safe, itself):
+    said = GuardianReport("the run hung", False, "plc: no answer in time").sentence(run_is_safe=safe)
+    assert said.startswith("the run hung; plc: no answer in time")
+    assert ("the run itself has read the safe values back" in said) == itself

@@ -144,11 +144,11 @@ def test_a_forged_verdict_is_refused_in_a_sentence(judged, content):
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_a_live_run_is_not_judged(judged):
+def test_a_run_whose_files_are_being_made_is_not_judged(judged):
     folder, plan = judged
     with folder.owned():
         done = typed("test", plan, "--on", folder.path)
-    assert done.returncode == 2 and "still goes on" in done.stderr
+    assert done.returncode == 2 and "another process makes the files of this run" in done.stderr
 
 
 def test_a_verdict_of_another_plan_of_the_same_id_leaves_a_trace(judged):

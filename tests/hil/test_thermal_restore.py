@@ -184,3 +184,15 @@ def test_plant_too_slow_for_the_timeout_is_announced_while_it_is_waited_for():
     assert "after 4000 s of thermal restore" in course.said
     announced = [second for second, text in enumerate(course.shown) if "too slow for the timeout" in text]
     assert 600 <= announced[0] < 3900
+
+
+def test_the_time_within_the_band_is_stated_while_the_run_waits_there():
+    columns = ("heater_power_W", "pump_speed_pct", "fan_speed_pct")
+    profile = Profile("cut", np.array([0.0, 100.0]), columns, np.array([[0.0, 90.0, 70.0], [LOAD_W, 90.0, 70.0]]))
+    restore = ThermalRestore(RIG, POINTS, profile, 0.0, {"T_tank": 40.0}, RestoreRule(band_K=1.0))
+    values = [40.2 if point.name == "T_tank" else 20.0 for point in POINTS]
+    good = [int(Quality.GOOD)] * len(POINTS)
+    for now_s in (100.0, 112.0):
+        restore.update(Snapshot(values, good, [now_s] * len(POINTS)), now_s)
+    assert restore.progress.endswith("; all within the band of 1 K for 12 s of the 60 s that the run waits there")
+    assert not restore.reached

@@ -70,6 +70,11 @@ def test_names_what_the_record_cannot_tell(loop: Network) -> None:
     done = commission(loop, t, u, y, CommissionOptions(starts=2))
     assert {"fins.fan_exponent", "fins.UA_still"} <= set(done.unidentifiable)
     assert any("did not vary" in note for note in done.notes)
+    for name in done.unidentifiable:
+        moved = f"{done.start[name]:.4g} to {done.values[name]:.4g}"
+        is_kept = f"{done.start[name]:.4g}" == f"{done.values[name]:.4g}"
+        said = "their values come from the twin file" if is_kept else f"{name} ({moved})"
+        assert any(name in note and said in note for note in done.notes), name
     assert all(np.isfinite(list(done.values.values())))
 
 

@@ -29,6 +29,12 @@ BAD = {
     "not a number": ("{ value = 3000.0,", '{ value = "big",', "must be a finite number"),
     "missing": ("nominal = { value = 3.785", "factor_ = { value = 3.785", "unknown key"),
     "input": ('fan = "fan_speed_pct"', 'fan = "fan_sped_pct"', "no such input 'fan_sped_pct'; did you mean"),
+    "input in W": (
+        'pump = "pump_speed_pct"',
+        'pump = "heater_power_W"',
+        "elements.circuit.pump: 'heater_power_W' is in W, and pump is read in %; convert the column to %, and end its "
+        "name in _pct",
+    ),
     "sensor on nothing": ('node = "tank"\ncolumns', 'node = "lake"\ncolumns', "no such node 'lake'"),
     "no columns": ('columns = ["T_tank_C"]', "columns = []", "must be a list of names"),
     "column twice": ('columns = ["T_tank_C"]', 'columns = ["T_heater_C"]', "already read by sensor"),
@@ -57,6 +63,31 @@ def test_bad_files_get_one_sentence(case: str, loop_text: str) -> None:
     assert message.startswith("rig.toml")
     assert words in message
     assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("column", "declared", "unit"),
+    [("pump_rpm", "", "rpm"), ("pump_speed", "rpm", "rpm"), ("pump_Hz", "Hz", "Hz"), ("pump_speed", "", None)],
+)
+def test_an_input_in_another_unit_than_it_is_read_in_is_refused(
+    loop_text: str, column: str, declared: str, unit: str | None
+) -> None:
+    text = loop_text.replace("pump_speed_pct", column).replace(
+        'upper = 100.0, unit = "%"', f'upper = 100.0, unit = "{declared}"', 1
+    )
+    if unit is None:
+        assert column in parse(text).inputs
+        return
+    with pytest.raises(TwinFileError, match=rf"'{column}' is in {unit}, and pump is read in %"):
+        parse(text)
+
+
+@pytest.mark.parametrize("column", ["T_room_K", "T_room_F", "room_bar"])
+def test_an_ambient_that_is_not_in_degrees_celsius_is_refused(column: str) -> None:
+    text = SEPARATE.replace("T_ambient_C", column).replace(', unit = "degC"', "")
+    text = text.replace("hA = 0.01", f'ambient = "{column}", hA = 0.01')
+    with pytest.raises(TwinFileError, match=rf"'{column}' is in .*, and ambient is read in degC; .* name in _C"):
+        parse(text)
 
 
 def test_the_line_is_named(loop_text: str) -> None:

@@ -227,7 +227,7 @@ def commission(
     low, high = (scaling.to_values(scaling.to_z(best.values) + s * SE90 * spread) for s in (-1.0, 1.0))
     names = network.sensor_names
     errors = [dict(zip(names, rmse(r), strict=True)) for r in (stale[~seen], residual[~seen], residual[seen])]
-    notes = _notes(network, ids, (agree, len(fits)), best, identified, u[seen], widened)
+    notes = _notes(network, ids, (agree, len(fits)), start, best, identified, u[seen], widened)
     notes += [segments.sentence] if segments.gaps else []
     silent = [name for j, name in enumerate(network.sensor_names) if not (weight[:, j] > 0.0).any()]
     notes += [f"{', '.join(silent)}: no reading in the record, so nothing was fitted to it"] if silent else []
@@ -350,6 +350,7 @@ def _notes(
     network: Network,
     ids: tuple[str, ...],
     agree: tuple[int, int],
+    start: Array,
     best: GaussNewtonFit,
     identified: np.ndarray,
     inputs: Array,
@@ -362,9 +363,19 @@ def _notes(
     if constant:
         notes.append(f"{', '.join(constant)} did not vary in the record, so their effects are not identifiable")
     unidentified = [name for name, ok in zip(ids, identified, strict=True) if not ok]
-    if unidentified:
-        names = ", ".join(unidentified)
-        notes.append(f"the record does not identify {names}; their values come from the twin file")
+    moved = {
+        name: f"{a:.4g} to {b:.4g}"
+        for name, a, b in zip(ids, start.tolist(), best.values.tolist(), strict=True)
+        if name in unidentified and f"{a:.4g}" != f"{b:.4g}"
+    }
+    if kept := [name for name in unidentified if name not in moved]:
+        notes.append(f"the record does not identify {', '.join(kept)}; their values come from the twin file")
+    if moved:
+        steps = ", ".join(f"{name} ({step})" for name, step in moved.items())
+        notes.append(
+            f"the record does not identify {steps}; they moved within their prior only, together with other "
+            'parameters: status = "fixed" in the twin file keeps the value of the file'
+        )
     hit = {name: value for name, value, at in zip(ids, best.values.tolist(), best.at_bound, strict=True) if at}
     absent = _switched_off(network, hit)
     bound = [name for name in hit if name not in absent]

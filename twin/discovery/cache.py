@@ -34,7 +34,7 @@ def stored(name: str, network: Network, *data: Array) -> Any:
     """Return what `store` has written; None if nothing was written or the file cannot be read."""
     path = cached(name, network, *data)
     if path is not None:
-        with contextlib.suppress(OSError, ValueError):
+        with contextlib.suppress(OSError, ValueError, RecursionError):
             return json.loads(path.read_text(encoding="utf-8"))
     return None
 

@@ -25,7 +25,7 @@ class AmbientLoss(Element):
     )
 
     node: str = place("node", "node that loses the heat")
-    ambient: str = place("input", "input column with the room temperature in degC", default="T_ambient_C")
+    ambient: str = place("input", "input column with the room temperature in degC", unit="degC", default="T_ambient_C")
     alike: tuple[str, ...] = place("nodes", "further nodes that lose heat by the same hA", default="")
 
     def nodes(self) -> tuple[str, ...]:

@@ -91,8 +91,8 @@ def place(role: Literal["node", "nodes", "input", "columns", "choice", "element"
     about
         One line for the error message and the documentation.
     extra
-        ``default`` makes the key optional; ``choices`` lists the possible values of a choice; ``key`` is the key in the
-        file where it cannot be a Python name (``from``).
+        ``default`` makes the key optional; ``unit`` is that in which an input column is read; ``choices`` lists the
+        possible values of a choice; ``key`` is the key in the file where it cannot be a Python name (``from``).
     """
     metadata = {"role": role, "about": about, **{k: v for k, v in extra.items() if k != "default"}}
     if "default" in extra:

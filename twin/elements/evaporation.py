@@ -36,8 +36,8 @@ class Evaporation(Element):
     )
 
     node: str = place("node", "node whose water evaporates")
-    ambient: str = place("input", "input column with the room temperature in degC", default="T_ambient_C")
-    humidity: str = place("input", "input column with the relative humidity in %, or a fixed one", default="")
+    ambient: str = place("input", "input column with the room temperature in degC", unit="degC", default="T_ambient_C")
+    humidity: str = place("input", "input column with the relative humidity in %, or a fixed one", unit="%", default="")
 
     def inputs(self) -> tuple[str, ...]:
         return (self.ambient, self.humidity) if self.humidity else (self.ambient,)

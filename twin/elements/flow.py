@@ -59,12 +59,12 @@ class Flow(Element):
     )
 
     path: tuple[str, ...] = place("nodes", "nodes in the order in which the water meets them; it closes by itself")
-    pump: str = place("input", "input column with the pump speed in %")
+    pump: str = place("input", "input column with the pump speed in %", unit="%")
     film: tuple[str, ...] = place("nodes", "nodes of the path whose effectiveness depends on the flow", default=())
     outlet: str = place(
         "choice", "temperature with which water leaves a node", choices=("exchanged", "volume"), default="exchanged"
     )
-    inlet: str = place("input", "input column with the temperature of the water that comes in", default="")
+    inlet: str = place("input", "input column with the temperature of the water that comes in", unit="degC", default="")
 
     def nodes(self) -> tuple[str, ...]:
         return self.path

@@ -310,7 +310,9 @@ class LawConductance(Law):
 
     node: str = place("node", "node that exchanges heat")
     to: str = place("node", "node on the other side", default="")
-    ambient: str = place("input", "input column with the temperature on the other side instead", default="")
+    ambient: str = place(
+        "input", "input column with the temperature on the other side instead", unit="degC", default=""
+    )
 
     def own_nodes(self) -> tuple[str, ...]:
         return (self.node, self.to)

@@ -37,7 +37,7 @@ class NaturalConvection(Element):
     )
 
     node: str = place("node", "node that loses the heat")
-    ambient: str = place("input", "input column with the room temperature in degC", default="T_ambient_C")
+    ambient: str = place("input", "input column with the room temperature in degC", unit="degC", default="T_ambient_C")
 
     @classmethod
     def missing_candidates(cls, sites: Sites) -> tuple[Candidate, ...]:

@@ -52,7 +52,7 @@ class Pipe(Element):
     )
 
     to: str = place("node", "node that the pipe leads to; it must be on a flow path")
-    ambient: str = place("input", "input column with the room temperature in degC", default="T_ambient_C")
+    ambient: str = place("input", "input column with the room temperature in degC", unit="degC", default="T_ambient_C")
 
     def problem(self, values: Mapping[str, float]) -> str | None:
         return None

@@ -41,7 +41,9 @@ class Radiation(Element):
 
     node: str = place("node", "node that radiates")
     to: str = place("node", "node on the other side, left out for the room", default="")
-    ambient: str = place("input", "input column with the temperature of the surroundings in degC", default="")
+    ambient: str = place(
+        "input", "input column with the temperature of the surroundings in degC", unit="degC", default=""
+    )
 
     def nodes(self) -> tuple[str, ...]:
         return (self.node, self.to) if self.to else (self.node,)

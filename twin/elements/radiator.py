@@ -63,9 +63,9 @@ class Radiator(Element):
     )
 
     node: str = place("node", "node that is cooled")
-    fan: str = place("input", "input column with the fan speed in %")
-    pump: str = place("input", "input column with the pump speed in %")
-    ambient: str = place("input", "input column with the room temperature in degC", default="T_ambient_C")
+    fan: str = place("input", "input column with the fan speed in %", unit="%")
+    pump: str = place("input", "input column with the pump speed in %", unit="%")
+    ambient: str = place("input", "input column with the room temperature in degC", unit="degC", default="T_ambient_C")
     form: str = place("choice", "law of the heat", choices=("outlet", "effectiveness", "one_row"), default="outlet")
 
     def parameter_specs(self) -> tuple[ParameterSpec, ...]:

@@ -56,10 +56,10 @@ class Tower(Element):
     )
 
     node: str = place("node", "node that the cooled water leaves from; on a flow path")
-    fan: str = place("input", "input column with the fan speed in %")
-    pump: str = place("input", "input column with the pump speed in %")
-    humidity: str = place("input", "input column with the relative humidity in %")
-    ambient: str = place("input", "input column with the air temperature in degC", default="T_ambient_C")
+    fan: str = place("input", "input column with the fan speed in %", unit="%")
+    pump: str = place("input", "input column with the pump speed in %", unit="%")
+    humidity: str = place("input", "input column with the relative humidity in %", unit="%")
+    ambient: str = place("input", "input column with the air temperature in degC", unit="degC", default="T_ambient_C")
 
     def problem(self, values: Mapping[str, float]) -> str | None:
         full = values["air_0"] + values["air_1"] + values["air_2"]

@@ -62,13 +62,13 @@ class TowerCell(Element):
     )
 
     node: str = place("node", "node of the outlet flume")
-    inlet: str = place("input", "input column with the temperature of the hot water in degC")
-    water: str = place("input", "input column with the water flow in kg/s")
-    fan: str = place("input", "input column with the fan speed in %")
-    dry: str = place("input", "input column with the dry bulb in degC")
-    wet: str = place("input", "input column with the wet bulb in degC")
-    pressure: str = place("input", "input column with the barometric pressure in kPa")
-    bypass: str = place("input", "input column with the position of the bypass valve in %")
+    inlet: str = place("input", "input column with the temperature of the hot water in degC", unit="degC")
+    water: str = place("input", "input column with the water flow in kg/s", unit="kg/s")
+    fan: str = place("input", "input column with the fan speed in %", unit="%")
+    dry: str = place("input", "input column with the dry bulb in degC", unit="degC")
+    wet: str = place("input", "input column with the wet bulb in degC", unit="degC")
+    pressure: str = place("input", "input column with the barometric pressure in kPa", unit="kPa")
+    bypass: str = place("input", "input column with the position of the bypass valve in %", unit="%")
 
     def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         place_of = sites.places[self.node]

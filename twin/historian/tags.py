@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 GOOD = 192
 """OPC quality from which a sample is good (OPC DA 3.0, 6.8)."""
 

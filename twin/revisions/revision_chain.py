@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 from twin.network import Network, Revision, TwinFileError, did_you_mean, digest
 from twin.revisions.differences import ElementDiff, KeyDiff, ParameterDiff, TwinDiff, diff
 from twin.twinfile import from_tables, is_edited, load, read_text, save, to_tables
+from twin.twinfile.bounded_toml import parse_toml
 
 __all__ = [
     "ChainEntry",
@@ -297,8 +297,8 @@ def twin_files(path: Path) -> tuple[TwinFile, ...]:
         for file in sorted(path.parent.glob("*.toml")):
             try:
                 text = read_text(file)
-                data = tomllib.loads(text)
-            except (TwinFileError, tomllib.TOMLDecodeError):
+                data = parse_toml(text)
+            except ValueError:
                 continue
             revision = data.get("revision", {})
             if "elements" in data and isinstance(revision, dict):

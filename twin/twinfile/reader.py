@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, replace
 from typing import Any, NoReturn
 
-from twin.column_names import contradicted_unit
+from twin.column_names import contradicted_unit, suffix_of, unit_other_than
 from twin.elements import KINDS, Element, Parameter, ParameterSpec
 from twin.elements.base import STATUSES
 from twin.network import (
@@ -205,6 +205,7 @@ class TwinReader:
             elif field.metadata["role"] == "input" and field.default and field.default not in inputs:
                 self.fail(keys, f"needs the input {field.default!r}; declare it under inputs or set {key}")
         element = cls(name=name, **fields)
+        self.units(element, keys, inputs)
         specs = {spec.name: spec for spec in element.parameter_specs()}
         self.known(table, ("kind", *cls.places(), *specs), keys)
         own = [self.parameter(element, spec, table.get(spec.name), keys) for spec in specs.values()]
@@ -215,6 +216,21 @@ class TwinReader:
             if column not in inputs:
                 self.fail(keys, f"needs the input {column!r}; declare it under inputs")
         return element, own
+
+    def units(self, element: Element, keys: tuple[str, ...], inputs: Mapping[str, InputSpec]) -> None:
+        """Check that an element's input columns are in the units in which it reads them."""
+        for key, field in element.places().items():
+            column, wanted = str(getattr(element, field.name)), field.metadata.get("unit", "")
+            if not wanted or column not in inputs:
+                continue
+            other = unit_other_than(column, inputs[column].unit, wanted)
+            if other is not None:
+                suffix = suffix_of(wanted)
+                self.fail(
+                    (*keys, key),
+                    f"{column!r} is in {other}, and {key} is read in {wanted}; convert the column to {wanted}, and end "
+                    f"its name in _{suffix}",
+                )
 
     def place(
         self, value: Any, meta: Mapping[str, Any], keys: tuple[str, ...], inputs: Mapping[str, InputSpec]

@@ -12,6 +12,7 @@ from typing import Any
 
 from twin.network import Network, TwinFileError, digest
 from twin.regular_file import read_regular
+from twin.twinfile.bounded_toml import parse_toml
 from twin.twinfile.reader import FORMAT, TwinReader
 
 
@@ -56,13 +57,9 @@ def parse(text: str, file: str = "twin file") -> Network:
         As for `load`.
     """
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        data = parse_toml(text)
+    except ValueError as error:
         raise TwinFileError(f"{file}: is not valid TOML: {error}") from None
-    except (ValueError, RecursionError):
-        raise TwinFileError(
-            f"{file}: is not valid TOML: it holds a number that is too long or lists that are too deep; correct it"
-        ) from None
     return TwinReader(text, file).network(data)
 
 

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
+from drivers.rig_file.text.bounded_toml import parse_toml
+
 _BARE = re.compile(r"[A-Za-z0-9_\-]+")
 _BLANK = re.compile(r"[ \t]*")
 _BETWEEN = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
@@ -46,13 +48,11 @@ def tables_of(raw: bytes) -> tuple[str, dict[str, Any]]:
     if text.startswith("\ufeff"):
         raise ValueError("begins with a byte order mark (line 1); save it as UTF-8 without one")
     try:
-        return text, tomllib.loads(text)
+        return text, parse_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"is not valid TOML: {error}; {_remedy_of(text, error)}") from None
-    except (ValueError, RecursionError):  # a number of thousands of digits, lists in lists without end
-        raise ValueError(
-            "is not valid TOML: it holds a number that is too long or lists that are too deep; correct it"
-        ) from None
+    except ValueError as error:
+        raise ValueError(f"is not valid TOML: {error}") from None
 
 
 def _remedy_of(text: str, error: tomllib.TOMLDecodeError) -> str:

@@ -35,6 +35,15 @@ from drivers.virtual.tower.sites import SITES, BuiltStation, StationDesign, buil
 
 MINUTES_A_DAY = 1440
 DAYS_A_MONTH = 30.4375
+LONGEST_S = 3600.0
+"""Longest time between two archived samples of a tag, s: a value at rest is confirmed every hour."""
+LONGEST_OF_THE_AIR_S = 600.0
+"""The same for temperatures and pressure of the air, which all cells of the station use, s."""
+MAST = "met"
+"""Interface of the weather mast (`Kind.interface`)."""
+COARSE_DEVIATION = 0.3
+"""Deviation of compression, in the unit of the simulation, between those of the mast's temperatures and pressure (0.1
+degC, 0.04 kPa) and those of its humidity and wind (from 0.5 on)."""
 STREAMS = (
     "build",
     "weather",
@@ -194,11 +203,16 @@ def _historian(
     kept = {}
     for one in tags:
         samples = scans[one.tag]
-        longest = 600.0 if one.unit != "0/1" and one.kind.deviation < 0.3 and one.kind.interface == "met" else 3600.0
-        rows = archived(samples.time_s, samples.value, one.kind.deviation * one.factor, longest)
+        rows = archived(samples.time_s, samples.value, one.kind.deviation * one.factor, _longest_s(one))
         kept[one.tag] = samples.rows(rows)
     seed_archive(kept, tags, seeding, plan.start, streams["defects"])
     return kept
+
+
+def _longest_s(one: Instrument) -> float:
+    """Return the longest time between two archived samples of a tag, s."""
+    is_of_the_air = one.kind.interface == MAST and one.kind.deviation < COARSE_DEVIATION
+    return LONGEST_OF_THE_AIR_S if is_of_the_air else LONGEST_S
 
 
 def state_by_minute(made: Simulated, cell: int) -> dict[str, np.ndarray]:

@@ -33,7 +33,7 @@ OUT = click.option(
     help="Folder for JSON, Markdown and manifest.",
 )
 QUICK = click.option("--quick", is_flag=True, help="Use small sizes, for a trial run or for CI.")
-SEED = click.option("--seed", default=0, show_default=True, help="Seed of all random numbers.")
+SEED = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of all random numbers.")
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the tables as JSON.")
 
 

@@ -31,7 +31,9 @@ _OF_A_FILE = ("rig", "twin", "no_twin", "out", "mode", "speed", "seed", "control
 @click.option("--mode", type=click.Choice(["real", "scaled", "lockstep"]), default="real", show_default=True)
 @click.option("--speed", default=1.0, show_default=True, help="Factor to real time, with --mode scaled.")
 @click.option("--period", default=1.0, show_default=True, help="Seconds between samples.")
-@click.option("--seed", default=0, show_default=True, help="Seed of noise, offsets and draughts.")
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of noise, offsets and draughts."
+)
 @click.option("--with", "effects", type=INPUT_FILE, help="TOML file of effects that the twin does not model.")
 @click.option("--fmu", type=INPUT_FILE, help="FMU (FMI 2.0, co-simulation) in the place of the plant: a program.")
 @click.option(

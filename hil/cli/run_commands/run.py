@@ -40,7 +40,13 @@ if TYPE_CHECKING:
 @CALIBRATORS
 @NETWORK
 @NETWORK_MODE
-@click.option("--seed", default=0, show_default=True, help="Seed of the virtual rig and of the calibrators.")
+@click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Seed of the virtual rig and of the calibrators.",
+)
 @click.option("--runs", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Parent folder.")
 @click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: if there is a display.")
 @click.option(

@@ -38,7 +38,13 @@ if TYPE_CHECKING:
 @click.option("--control", help="host:port of a running `hil rig --mode lockstep`, which grants steps.")
 @click.option("--with", "effects", type=INPUT_FILE, help="Effects that the twin does not model (virtual rig).")
 @CALIBRATORS
-@click.option("--seed", default=0, show_default=True, help="Seed of the virtual rig and of the calibrators.")
+@click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Seed of the virtual rig and of the calibrators.",
+)
 @click.option("--runs", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Parent folder.")
 @click.option("--viewer/--no-viewer", default=None, help="Open Rerun live; default: if there is a display.")
 @click.option("--rearm", is_flag=True, help="Acknowledge a trip that the rig has latched; find its cause before.")

@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     help="Datasheet of a rig (datasheet.json): sets the values of --twin, or of loop.toml.",
 )
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="New twin file to write.")
-@click.option("--seed", default=0, show_default=True, help="Seed of the fit's further starting points.")
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the fit's further starting points."
+)
 @click.option(
     "--initial-sd",
     type=click.FloatRange(min=0.0, min_open=True),

@@ -133,7 +133,17 @@ def command(
     if len(twins) > 1:
         raise click.UsageError("several --twin are for the cells of a tower's aligned record; give one")
     twin = twins[0] if twins else None
-    from hil.diagnosis import DiagnosisRequest, described, diagnose_files, prepare, rig_of, show_forecast, write_results
+    from hil.diagnosis import (
+        DiagnosisFolderError,
+        DiagnosisRequest,
+        described,
+        diagnose_files,
+        prepare,
+        rig_of,
+        show_forecast,
+        write_results,
+    )
+    from hil.files import held, require_writable
     from hil.run.session import console
     from twin import TwinFileError
 
@@ -165,21 +175,31 @@ def command(
         return
     if bootstrap and ready.healthy is not None:
         _bootstrap(ready.network, ready.healthy, ready.healthy_file, bootstrap, quiet=as_json)
+    folder = out or _folder(subject.run, target)
+    if not dry:
+        require_writable(folder, DiagnosisFolderError, "give another --out, or --dry to write nothing")
+        click.get_current_context().with_resource(held(folder, DiagnosisFolderError))
     found = _diagnosed(ready, diagnose_files, quiet=as_json)
     if empirical and found.verdict == "unexplained" and found.empirical is None:
         raise TwinFileError(
             f"{subject.record}: no curve of any column predicts the unexplained error; there is none to adopt"
         )
     curve = empirical and found.empirical is not None
-    folder = out or _folder(subject.run, target)
-    written, extra = None, described(ready, None, began)
+    written, extra, failure = None, described(ready, None, began), None
     if not dry:
-        written, extra = write_results(ready, found, folder, empirical=curve, began=began)
+        try:
+            written, extra = write_results(ready, found, folder, empirical=curve, began=began)
+        except (OSError, ValueError) as error:  # the verdict is printed in any case
+            failure = error
     if as_json:
         click.echo(json.dumps({**found.document(), **extra}, indent=1))
     else:
         _report(console(), ready, found, written, target)
         console().print(f"{time.monotonic() - began:.1f} s")
+    if failure is not None:
+        raise failure
+    if written is not None and written.unsaved:
+        click.echo(f"no revision of the twin is saved: {written.unsaved}", err=True)
     if review and not dry:
         _review(folder, quiet=as_json)
     if found.verdict != "adequate":

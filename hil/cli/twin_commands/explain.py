@@ -31,7 +31,7 @@ STEPS = 6.0
 @click.option("--lockstep", is_flag=True, help="Run them as fast as the machine can, reproducibly (virtual rig).")
 @click.option("--speed", type=float, help="Factor to real time, up to 100 (virtual rig).")
 @click.option("--effects", type=INPUT_FILE, help="Effects of the virtual rig; default: those of RUN.")
-@click.option("--seed", type=int, help="Seed of the virtual rig; default: that of RUN.")
+@click.option("--seed", type=click.IntRange(0), help="Seed of the virtual rig; default: that of RUN.")
 @click.option(
     "--rounds", type=click.IntRange(min=1), default=3, show_default=True, help="Most experiments in one folder."
 )

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @CALIBRATORS
 @NETWORK
 @NETWORK_MODE
-@click.option("--seed", default=0, show_default=True, help="Seed of the calibrators.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the calibrators.")
 @click.option(
     "--out", type=click.Path(dir_okay=False, path_type=Path), help="File for the predictions, .parquet or .csv."
 )

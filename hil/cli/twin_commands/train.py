@@ -38,7 +38,11 @@ command.add_command(tower_command)
 @command.command("loop")
 @click.option("--config", "name", type=click.Choice(["small", "full"]), default="small", show_default=True)
 @click.option(
-    "--seed", default=0, show_default=True, help="Seed of the weights and of the order of windows; one for each member."
+    "--seed",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Seed of the weights and of the order of windows; one for each member.",
 )
 @click.option(
     "--data",

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from hil.files import require_columns
 from hil.record.csv_file.labview_exports import plain_heading
 from hil.record.times import SECONDS_PER, is_time_name
 from hil.record.units import has_open_factor, looks_like_unit, meaning_of
@@ -114,7 +115,7 @@ def find_dialect(text: str) -> Dialect:
     Raises
     ------
     DialectError
-        No line names the columns.
+        No line names the columns, or there are too many.
     """
     lines, commented, only = _sample(text)
     _require_upright(lines, only)
@@ -180,6 +181,7 @@ def _with(delimiter: str, lines: Sequence[Line], commented: Line | None) -> Dial
     if not width or width[0][0] < 2:
         return None
     k = width[0][0]
+    require_columns("", k, lambda said: DialectError(said if said.startswith(" ") else f": {said}"))
     fields = _ended_alike([None if row is None else plain_heading(row) for row in fields], k)
     table = [(line, row) for line, row in zip(lines, fields, strict=True) if row is not None and len(row) == k]
     numeric, moments = _numeric([row for _, row in table], k)

@@ -7,7 +7,6 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.files import require_columns
 from hil.record.csv_file.annotated import is_annotated, read_annotated
 from hil.record.csv_file.cut_end import ends_cut
 from hil.record.csv_file.dialect import BLANKS, Dialect, find_dialect, heading_cells, is_value, split
@@ -67,7 +66,6 @@ def read_csv(path: Path, content: bytes, digest: str) -> RawRecord:
         messages.append("columns are separated by blanks")
         text = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+(?=\r?$)", "", text))
         content, encoding, delimiter = text.encode(), "utf-8", "\t"
-    require_columns(path, len(dialect.names), RecordError)
     named = named_columns(path, dialect)
     messages += named.messages
     names, repeated = unique(named.names)

@@ -19,7 +19,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from hil.files import plain
+from hil.files import parse_json, plain
 from hil.run.engine.engine import Engine
 from hil.run.engine.operator import RefusedError, Verb
 from hil.run.engine.status import Status
@@ -109,13 +109,13 @@ async def _next_line(reader: asyncio.StreamReader) -> bytes:
 
 async def _answer(engine: Engine, line: bytes) -> dict[str, Any]:
     try:
-        asked = json.loads(line)
+        asked = parse_json(line)
         verb = asked["verb"]
         reason = plain(str(asked.get("reason") or "by an operator (hil ctl)"), LONGEST_REASON).replace("\n", " ")
         text = str(engine.state) if verb == "status" else await _obeyed(engine, Verb(verb), reason)
     except RefusedError as error:
         return {"ok": False, "text": str(error), "status": document(engine.status())}
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+    except (ValueError, TypeError, KeyError, AttributeError):
         verbs = ", ".join(["status", *Verb])
         return {"ok": False, "text": f"not understood; send one JSON object a line, with verb one of {verbs}"}
     return {"ok": True, "text": text, "status": document(engine.status())}
@@ -165,7 +165,7 @@ def ask(path: Path, verb: str, reason: str = "") -> dict[str, Any]:
             ) from None
     if not line:
         raise ControlError(f"{path.parent}: the run ended before it answered")
-    answer: dict[str, Any] = json.loads(line)
+    answer: dict[str, Any] = parse_json(line)
     return answer
 
 

@@ -127,11 +127,17 @@ class Engine:
         outcome.deviations += [outcome.disobeyed] if outcome.disobeyed else []
         self._supervisor.close()
         outcome.problems += self._recorder.problems
+        silent = [self._connection.points[index].name for index in sorted(self._recorder.silent)]
+        if silent and outcome.ticks:
+            since = "in the whole run" if self._options.resumption is None else "since the run was resumed"
+            outcome.problems.append(
+                f"{', '.join(silent)}: no good value {since}; `hil check RIG --online` with the rig file shows why"
+            )
         await self._connection.close()
         await self._guard.done(safe=outcome.safe)
         acted = self._guard.acted
         if acted is not None:
-            outcome.guardian = f"{acted.reason}; {'safe values read back' if acted.safe else acted.problem}"
+            outcome.guardian = acted.sentence(run_is_safe=outcome.safe)
         await self._recorder.flush()
         await self._clock.close()
         if fatal is not None:

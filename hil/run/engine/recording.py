@@ -79,11 +79,17 @@ class Recorder:
         self._pending: tuple[list[int], list[float], list[list[float]]] = ([], [], [])
         self._published = time.monotonic()
         self._behind = False
+        self._silent: frozenset[int] | None = None
 
     @property
     def failure(self) -> str | None:
         """Why rows do not reach the disk any more; None while they do."""
         return self._journal.failure
+
+    @property
+    def silent(self) -> frozenset[int]:
+        """Places of the points, in the order of the snapshots, that had no good value in any tick."""
+        return self._silent or frozenset()
 
     def sample(
         self,
@@ -100,6 +106,9 @@ class Recorder:
 
         Raises JournalError.
         """
+        if self._silent is None or self._silent:
+            places = range(len(snapshot.quality)) if self._silent is None else self._silent
+            self._silent = frozenset(i for i in places if snapshot.quality[i] != _GOOD)
         values, quality = with_commands(snapshot, commanded, unknown)
         source = snapshot.source_time_s + [now_s] * len(commanded)
         latency = time.perf_counter() - began

@@ -21,6 +21,8 @@ import stat
 from dataclasses import dataclass
 from pathlib import Path
 
+from hil.files import parse_json
+
 UNDER_HOME = Path(".local/state/hil/locks")
 """Place of the lock folder in a home folder (state data of the XDG base directory specification)."""
 UNDER_RUNTIME = Path("hil/locks")
@@ -150,9 +152,9 @@ class LockHolder:
     def read(cls, text: bytes) -> LockHolder | None:
         """Return the holder that `as_bytes` wrote, or None."""
         try:
-            found = json.loads(text)
+            found = parse_json(text)
             return cls(int(found["pid"]), str(found["machine"]), found["folder"])
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, OverflowError):
             return None
 
     def as_bytes(self) -> bytes:

@@ -129,7 +129,14 @@ class ThermalRestore:
 
     @property
     def progress(self) -> str:
-        """Sentence about the largest deviation, with a sufficient band where the restore is too slow."""
+        """Sentence about the largest deviation, with the time within the band, or a sufficient band where the restore
+        is too slow."""
+        if self._inside_since is not None:
+            inside_s = self._now - self._inside_since
+            return (
+                f"{self._largest}; all within the band of {self.rule.band_K:g} K for {inside_s:.0f} s of the "
+                f"{SETTLE_S:g} s that the run waits there"
+            )
         if self._limits.in_time or self._limits.sufficient_K is None:
             return self._largest
         return f"{self._largest}; too slow for the timeout, --band {self._limits.sufficient_K:g} would do now"

@@ -176,6 +176,7 @@ async def _run_in(run: PreparedRun) -> RunResult:
             "errors_K": None if comparison is None else asdict(comparison.errors),
             "bands": None if comparison is None else comparison.bands,
             "parameters": None if comparison is None else comparison.parameters,
+            "parameter_units": None if comparison is None else comparison.units,
             "diagnosis": None if reply is None or reply.found is None else reply.found.verdict,
         }
         journal.put_meta("exit_status", outcome.status)

@@ -112,12 +112,13 @@ def parameter_table(comparison: Comparison) -> Table:
     table.add_column("parameter", no_wrap=True)
     for name in comparison.parameters:
         table.add_column(name, justify="right")
+    table.add_column("unit")
     from hil.tracking import parameter_cell
 
     names = dict.fromkeys(name for values in comparison.parameters.values() for name in values)
     for name in names:
         cells = (comparison.parameters[calibrator].get(name) for calibrator in comparison.parameters)
-        table.add_row(name, *(parameter_cell(cell) for cell in cells))
+        table.add_row(name, *(parameter_cell(cell) for cell in cells), comparison.units.get(name, ""))
     table.caption = "held: not identifiable from the record, or a gate is closed."
     return table
 

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from hil.files import replacing
+from hil.files import parse_json, replacing
 from hil.record import RecordError
 from hil.tower.calibration.remarks import remarks_of
 from hil.tower.calibration.station_fit import CellResult
@@ -67,7 +67,7 @@ def read_remarks(path: Path) -> dict[int, list[str]]:
         The file cannot be read.
     """
     try:
-        found = json.loads((pq.read_schema(path).metadata or {}).get(REMARKS.encode(), b"{}"))
+        found = parse_json((pq.read_schema(path).metadata or {}).get(REMARKS.encode(), b"{}"))
         return {int(cell): [str(one) for one in sentences] for cell, sentences in found.items()}
     except (OSError, pa.ArrowException, ValueError, AttributeError, TypeError) as error:
         raise RecordError(f"{path}: its remarks cannot be read ({error}); calibrate again") from error

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.files import replacing
+from hil.files import parse_json, replacing
 from hil.record import RecordError
 from hil.tower.governance.gates import Verdict
 from hil.tower.station import iso, misfit, seconds
@@ -226,10 +226,10 @@ def _checked(path: Path) -> tuple[ChainEnd, dict[int, float]]:
 def _checked_line(path: Path, number: int, text: bytes, before: str) -> tuple[int, float]:
     """Return cell and time of a line that follows from the hash of the one before."""
     try:
-        line = json.loads(text)
+        line = parse_json(text)
         fault = misfit(line, _LINE)
         time_s = 0.0 if fault else seconds(line["t"])
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         fault, time_s = str(error), 0.0
     if fault:
         raise RecordError(f"{path}:{number}: is no record of a calibration ({fault}); {_REMEDY}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.files import require_complete
+from hil.files import parse_json, require_complete
 from hil.record import RecordError
 from hil.tower.calibration import TABLE, read_minutes, read_remarks
 from hil.tower.governance.calibration_folder import check_chains
@@ -145,7 +144,7 @@ def _flags(path: Path) -> list[str]:
     with path.open("rb") as handle:
         for text in handle:
             total += 1
-            count.update(json.loads(text)["f"])
+            count.update(parse_json(text)["f"])
     lines = [
         f"{total} records of five minutes, in an unbroken chain. Reason codes:",
         "",

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from hil.files import replacing
+from hil.files import parse_json, replacing
 from hil.record import RecordError
 from hil.tower.calibration import CellResult
 from hil.tower.network.answers import NetworkAnswers, StationAnswers
@@ -76,7 +76,7 @@ def read_about(path: Path) -> AboutNetwork:
         The file is no such table.
     """
     try:
-        found = json.loads((pq.read_schema(path).metadata or {})[KEY])
+        found = parse_json((pq.read_schema(path).metadata or {})[KEY])
         return AboutNetwork(
             str(found["branch"]),
             str(found["ensemble"]),
@@ -84,7 +84,7 @@ def read_about(path: Path) -> AboutNetwork:
             tuple(map(str, found["blind"])),
             str(found.get("outlet", "")),
         )
-    except (OSError, KeyError, ValueError, TypeError, pa.ArrowException) as error:
+    except (OSError, KeyError, ValueError, TypeError, OverflowError, pa.ArrowException) as error:
         raise RecordError(f"{path}: is no table of a network ({error}); calibrate again with --network") from error
 
 

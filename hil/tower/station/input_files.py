@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from pathlib import Path
 from typing import Any
 
 from drivers.rig_file import read_regular
+from hil.files import parse_json
 from hil.record import RecordError
 from hil.tower.station.errors import TableError
 from hil.tower.station.json_shape import Shape, misfit, misfits
@@ -88,22 +88,23 @@ def read_datasheet(path: Path) -> dict[str, Any]:
     Raises
     ------
     RecordError
-        The file cannot be read, or keys that are used have another type.
+        The file cannot be read, none of its keys has a value, or a key that is used has another type.
     """
     remedy = "correct the datasheet"
     found = _object(path, remedy)
     if faults := [f"{path}: {fault}; {remedy}" for fault in misfits(found, DATASHEET)]:
         raise TableError(path, faults)
+    if parse_json(_text(path)) and not _holds_value(found):
+        raise RecordError(f"{path}: none of its keys has a value; {remedy}")
     return found
 
 
 def _object(path: Path, remedy: str) -> dict[str, Any]:
     """Return the object of a JSON file, without keys whose value is null; raises RecordError."""
     try:
-        found = _without_nulls(json.loads(_text(path)))
-    except (ValueError, RecursionError) as error:
-        reason = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
-        raise RecordError(f"{path}: is not valid JSON: {reason}; {remedy}") from error
+        found = _without_nulls(parse_json(_text(path)))
+    except ValueError as error:
+        raise RecordError(f"{path}: is not valid JSON: {error}; {remedy}") from error
     if not isinstance(found, dict):
         raise RecordError(f"{path}: is not a JSON object; {remedy}")
     return found
@@ -113,6 +114,10 @@ def _without_nulls(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _without_nulls(one) for key, one in value.items() if one is not None}
     return [_without_nulls(one) for one in value] if isinstance(value, list) else value
+
+
+def _holds_value(value: Any) -> bool:
+    return any(map(_holds_value, value.values())) if isinstance(value, dict) else value is not None
 
 
 def _text(path: Path) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import re
 from collections.abc import Sequence
@@ -17,7 +16,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from hil.files import require_complete
+from hil.files import parse_json, require_complete
 from hil.record import RecordError
 from hil.tower.station.alignment import event_entry
 from hil.tower.station.description import read_events
@@ -90,7 +89,7 @@ def station_of(record: Path, cell: int) -> str:
 
 def _about(schema: pa.Schema) -> dict[str, Any]:
     """Return what a cell's file says of itself; raises ValueError."""
-    found = json.loads((schema.metadata or {}).get(b"hil.tower", b"{}"))
+    found = parse_json((schema.metadata or {}).get(b"hil.tower", b"{}"))
     if not isinstance(found, dict):
         raise ValueError("its metadata are no object")
     return found

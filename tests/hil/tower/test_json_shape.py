@@ -115,3 +115,13 @@ def test_a_record_without_notes_is_refused(tmp_path: Path) -> None:
         read_notes(tmp_path)
     (tmp_path / "station.json").write_text(json.dumps({"datasheet": {}, "events": [EVENT]}))
     assert read_notes(tmp_path).events == (EVENT,)
+
+
+@pytest.mark.parametrize("text", ['{"station": null, "design": null}', '{"design": {"pressure_kPa": null}}'])
+def test_a_datasheet_of_nulls_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "datasheet.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(RecordError, match="none of its keys has a value; correct the datasheet"):
+        read_datasheet(path)
+    path.write_text('{"station": "A", "design": null}', encoding="utf-8")
+    assert read_datasheet(path) == {"station": "A"}

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.historian.defects.panel import Mask, moving_mean, on_grid
-from twin.historian.tags import Array, Defect, Series
+from twin.historian.defects.panel import moving_mean, on_grid
+from twin.historian.tags import Array, Defect, Mask, Series
 from twin.quantiles import NORMAL90
 from twin.tower.air import wet_bulb
 
@@ -137,7 +137,7 @@ def _at_fault(grid: Array, span: tuple[float, float, float], suspects: Sequence[
 
 def _changes(values: Array) -> Array:
     """Return the change of the mean level from before each row to after it."""
-    level = moving_mean(values, LEAP_ROWS)
+    level = moving_mean(values, LEAP_ROWS // 2)
     change = np.full(len(values), np.nan)
     half = LEAP_ROWS // 2 + 1
     change[half : len(values) - half] = level[2 * half :] - level[: -2 * half]
@@ -180,10 +180,10 @@ def _usual(off: Array, t: Array) -> Array:
 def _impossible(grid: Array, above: Array, offs: list[Array]) -> list[tuple[float, float, float]]:
     """Return the spans with a wet bulb above the dry bulb, or off from every humidity sensor on the same side, each
     with how far in K."""
-    wrong = moving_mean(np.nan_to_num(above, nan=-1.0), SMOOTH) > CLOSURE_K
+    wrong = moving_mean(np.nan_to_num(above, nan=-1.0), SMOOTH // 2) > CLOSURE_K
     worst = np.where(wrong, above, 0.0)
     if offs:
-        smooth = [moving_mean(off, SMOOTH) for off in offs]
+        smooth = [moving_mean(off, SMOOTH // 2) for off in offs]
         limits = [max(2.0 * CLOSURE_K, SCATTERS * _scatter(one)) for one in smooth]
         known = np.stack([np.isfinite(one) for one in smooth])
         high = np.stack([one > limit for one, limit in zip(smooth, limits, strict=True)])

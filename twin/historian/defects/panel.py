@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
 from twin.historian.tags import Array, Series, longest_interval_s
@@ -24,10 +23,6 @@ class TagPanel:
     series: tuple[Series, ...]
     grid_s: Array
     values: Array
-
-    def row(self, name: str) -> int:
-        """Return the row of a tag."""
-        return next(k for k, one in enumerate(self.series) if one.tag.name == name)
 
 
 def panel(series: Sequence[Series], step_s: float = STEP_S) -> TagPanel:
@@ -105,15 +100,12 @@ def largest_sum(gain: Array) -> tuple[int, int, float]:
     return low, max(end, low + 1), float(total[end] - total[low])
 
 
-def moving_mean(x: Array, width: int) -> Array:
-    """Return the centred mean of what is known in `width` values (m,)."""
+def moving_mean(x: Array, half: int) -> Array:
+    """Return the mean (m,) of what is known in each value of `x (m,)` and the `half` values on either side of it."""
     known = np.isfinite(x)
     total = np.concatenate([[0.0], np.cumsum(np.where(known, x, 0.0))])
     count = np.concatenate([[0], np.cumsum(known)])
-    low = np.maximum(np.arange(len(x)) - width // 2, 0)
-    high = np.minimum(np.arange(len(x)) + width // 2 + 1, len(x))
+    low = np.maximum(np.arange(len(x)) - half, 0)
+    high = np.minimum(np.arange(len(x)) + half + 1, len(x))
     n = count[high] - count[low]
     return np.asarray(np.where(n > 0, (total[high] - total[low]) / np.maximum(n, 1), np.nan))
-
-
-Mask = NDArray[np.bool_]

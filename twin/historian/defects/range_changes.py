@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.historian.checks import FAN_APART, THERMOMETER_K
-from twin.historian.defects.panel import Mask, TagPanel, design_matrix, on_grid, panel, robust_prediction
-from twin.historian.tags import Array, Defect, Series, longest_interval_s
+from twin.historian.defects.panel import TagPanel, design_matrix, on_grid, panel, robust_prediction
+from twin.historian.tags import Array, Defect, Mask, Series, longest_interval_s
 from twin.historian.units import unit_of
 
 WITNESSED = frozenset(

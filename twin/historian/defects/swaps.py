@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.historian.defects.panel import Mask, TagPanel, design_matrix, largest_sum, moving_mean, robust_prediction
+from twin.historian.defects.panel import STEP_S, TagPanel, design_matrix, largest_sum, moving_mean, robust_prediction
 from twin.historian.events import Event, naming
-from twin.historian.tags import Array, Defect, Series
+from twin.historian.tags import Array, Defect, Mask, Series
 from twin.historian.units import unit_of
 
 LEAST_S = 12.0 * 3600.0
@@ -32,6 +32,7 @@ ROUNDS = 4
 AROUND_ROWS = 2000
 """Rows (three weeks) on either side of a swap from which its edges are refined."""
 JUMP_ROWS = 4
+"""Least rows (an hour) between two jumps; the level on either side of one is the mean of a row more."""
 NEAR_ROWS = 144
 """Rows (a day and a half) about a jump in which every edge is tried."""
 MOST_EDGES = 40
@@ -213,11 +214,11 @@ def _span(difference: Array, matrix: Array, *, daily: bool) -> _Span | None:
     """Return the most probable swap, by the levels or by the changes within a day."""
     mask = np.ones(len(difference))
     low, high, total, predicted = 0, 0, 0.0, difference
-    width = round(DAY_S / 900.0)
-    changes = difference - moving_mean(difference, width)
+    half = round(0.5 * DAY_S / STEP_S)
+    changes = difference - moving_mean(difference, half)
     for _ in range(ROUNDS):
         predicted, sigma = robust_prediction(difference * mask, matrix)
-        wanted = predicted - moving_mean(predicted, width)
+        wanted = predicted - moving_mean(predicted, half)
         # log p(now | swapped) - log p(now | not) of a normal error
         gain = np.nan_to_num(-2.0 * (changes * wanted if daily else difference * predicted) / sigma**2)
         low, high, total = largest_sum(np.clip(gain, -CAP, CAP))
@@ -228,7 +229,7 @@ def _span(difference: Array, matrix: Array, *, daily: bool) -> _Span | None:
         mask = again
     if high - low < 8:
         return None
-    return _Span(low, high, total, changes, predicted - moving_mean(predicted, width))
+    return _Span(low, high, total, changes, predicted - moving_mean(predicted, half))
 
 
 def _refined(difference: Array, matrix: Array, low: int, high: int, most: int) -> tuple[int, int]:
@@ -241,7 +242,7 @@ def _refined(difference: Array, matrix: Array, low: int, high: int, most: int) -
     x, a = difference[first:last], matrix[first:last]
     filled = np.where(np.isfinite(x), x, 0.0)
     nearby = np.minimum(np.abs(np.arange(first, last) - low), np.abs(np.arange(first, last) - high)) <= most
-    before, after = moving_mean(x, JUMP_ROWS)[: -JUMP_ROWS - 1], moving_mean(x, JUMP_ROWS)[JUMP_ROWS + 1 :]
+    before, after = moving_mean(x, JUMP_ROWS // 2)[: -JUMP_ROWS - 1], moving_mean(x, JUMP_ROWS // 2)[JUMP_ROWS + 1 :]
     jump = np.nan_to_num(np.abs(after - before))
     edges = [0, len(x)] if most >= AROUND_ROWS else []
     for row in np.argsort(jump)[::-1]:

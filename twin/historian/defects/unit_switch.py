@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.historian.defects.panel import Mask, TagPanel, design_matrix, panel, robust_prediction
+from twin.historian.defects.panel import TagPanel, design_matrix, panel, robust_prediction
 from twin.historian.defects.unit_edges import Edge, unit_edges
-from twin.historian.tags import Array, Defect, Series
+from twin.historian.tags import Array, Defect, Mask, Series
 from twin.historian.units import Unit, alternatives, full_speed_of, unit_of
 
 LEAST_S = 2.0 * 3600.0
