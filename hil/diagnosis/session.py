@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,7 +22,7 @@ from hil.diagnosis.results import provenance, write
 from hil.diagnosis.revision import revise, write_proposal
 from hil.journal import record_sha256
 from hil.record import ReadingOptions
-from hil.record.values import UnitQuestion
+from hil.record.values import open_questions
 from twin import Network, TwinFileError, load
 from twin.discovery import (
     Columns,
@@ -63,6 +62,8 @@ class DiagnosisRequest:
         Time of day at 0 s of the record, like 08:00; None takes what the record says of it.
     choice
         How the records are read.
+    units_checked
+        True if the record's units are right, whatever its reader asks about them.
     """
 
     record: Path
@@ -74,6 +75,7 @@ class DiagnosisRequest:
     rig: Path | None = None
     clock: str | None = None
     choice: ReadingOptions | None = None
+    units_checked: bool = False
 
 
 @dataclass(frozen=True)
@@ -163,10 +165,16 @@ def diagnose_files(ready: PreparedDiagnosis, say: Callable[[str], None], note: C
         raise TwinFileError(f"{ready.healthy_file}: {error}") from None
     except TwinFileError as error:
         raise TwinFileError(f"{request.record}: {error}") from None
-    found = depending_on_units(found, network, messages)
+    if not request.units_checked:
+        found = depending_on_units(found, network, messages)
     if ready.stored.why:
         found = dataclasses.replace(found, notes=(ready.stored.why, *found.notes))
     return found
+
+
+def columns_in_use(network: Network) -> set[str]:
+    """Return the columns of a record that a twin reads: its inputs and those of its sensors."""
+    return set(network.recorded_inputs) | {c for named in network.sensor_columns.values() for c in named}
 
 
 def depending_on_units(found: Diagnosis, network: Network, messages: Sequence[str]) -> Diagnosis:
@@ -175,12 +183,10 @@ def depending_on_units(found: Diagnosis, network: Network, messages: Sequence[st
     A wrong unit of a column reads like an effect. As long as one is open, an effect is one of two explanations: the
     verdict is `ambiguous`, and the twin gets no revision.
     """
-    columns = set(network.recorded_inputs) | {c for named in network.sensor_columns.values() for c in named}
-    asked = [said for said in messages if isinstance(said, UnitQuestion)]
-    asked = [said for said in asked if any(re.search(rf"\b{re.escape(column)}\b", said) for column in columns)]
+    asked = open_questions(columns_in_use(network), messages)
     if not asked:
         return found
-    warning = f"the answer depends on an open question of units: {' '.join(asked)} Correct the record or its heading"
+    warning = f"the answer depends on an open question of units: {' '.join(asked)} Correct the record or its heading, or give --units-checked"
     found = dataclasses.replace(found, warnings=(warning, *found.warnings))
     if found.verdict != "effect found":
         return found

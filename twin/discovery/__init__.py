@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from twin.discovery.planning.experiment import Limits
     from twin.discovery.planning.forecast import Forecast
     from twin.discovery.records.grid import TooShortError, require_enough
+    from twin.discovery.records.stuck_readings import stuck
 
 
 __all__ = [
@@ -53,6 +54,7 @@ __all__ = [
     "keep_bootstrap",
     "label_text",
     "require_enough",
+    "stuck",
     "with_unused",
 ]
 
@@ -76,5 +78,6 @@ __getattr__, __dir__ = lazy_names(
         "planning.experiment": ("Limits",),
         "planning.forecast": ("Forecast",),
         "records.grid": ("TooShortError", "require_enough"),
+        "records.stuck_readings": ("stuck",),
     },
 )
