@@ -39,8 +39,8 @@ def without_stuck(network: Network, record: Record) -> Record:
                 columns[name] = columns[name].copy()
                 columns[name][one.rows] = np.nan
                 messages.append(
-                    f"{name} reads {one.value:g} without any noise from {span(one.first_s)} to {span(one.last_s)}, as a "
-                    "stuck channel does: its readings there are left out of the fit and of the healthy record"
+                    f"{name} reads {one.value:g} without any noise from {span(one.first_s)} to {span(one.last_s)}, as "
+                    "a stuck channel does: its readings there are left out of the fit and of the healthy record"
                 )
     return dataclasses.replace(record, columns=columns, messages=(*record.messages, *messages))
 

@@ -186,7 +186,8 @@ def depending_on_units(found: Diagnosis, network: Network, messages: Sequence[st
     asked = open_questions(columns_in_use(network), messages)
     if not asked:
         return found
-    warning = f"the answer depends on an open question of units: {' '.join(asked)} Correct the record or its heading, or give --units-checked"
+    open_units = f"the answer depends on an open question of units: {' '.join(asked)}"
+    warning = f"{open_units} Correct the record or its heading, or give --units-checked"
     found = dataclasses.replace(found, warnings=(warning, *found.warnings))
     if found.verdict != "effect found":
         return found

@@ -1,4 +1,4 @@
-"""An error that no load and no noise makes that of a healthy rig is not adequate, however loud the twin was in health."""
+"""An error that no load makes that of a healthy rig is not adequate, however loud the twin was in health."""
 
 from __future__ import annotations
 
@@ -33,8 +33,6 @@ def test_an_error_is_held_against_health_and_against_a_constant(
 def test_a_twin_of_a_record_in_another_unit_calls_nothing_adequate(brisk: Bench, brisk_healthy: Columns) -> None:
     """Power in kW and in W: what the twin leaves in health passes for noise, which hides any error later."""
     small = replace(brisk_healthy, inputs=brisk_healthy.inputs * [1e-3, 1.0, 1.0, 1.0])
-    fitted = commission(
-        brisk.network, small.time_s, small.inputs, small.measured, CommissionOptions(starts=1)
-    ).network
+    fitted = commission(brisk.network, small.time_s, small.inputs, small.measured, CommissionOptions(starts=1)).network
     found = diagnose(fitted, brisk.record(8.0, seed=5), small)
     assert found.verdict != "adequate" and found.network is None

@@ -93,13 +93,13 @@ def test_no_file_is_written_where_the_error_is_absurd(tmp_path: Path, made: tupl
     assert not list(tmp_path.glob("new*"))
 
 
-def test_a_twin_is_not_fitted_while_a_question_about_units_is_open(
-    tmp_path: Path, made: tuple[Bench, Columns]
-) -> None:
+def test_a_twin_is_not_fitted_while_a_question_about_units_is_open(tmp_path: Path, made: tuple[Bench, Columns]) -> None:
     bench, record = made
     path = written(bench.network, record, tmp_path / "kilowatts.parquet")
     right = read_record(path)
-    write_record(Record(right.time_s, {**right.columns, "pump_speed_pct": 0.01 * right.columns["pump_speed_pct"]}), path)
+    write_record(
+        Record(right.time_s, {**right.columns, "pump_speed_pct": 0.01 * right.columns["pump_speed_pct"]}), path
+    )
     said = ["commission", path, "--twin", LOOP, "--out", tmp_path / "new.toml"]
     code, printed = hil(*said)
     assert code == 2 and "is it a fraction of 1?" in printed and "--units-checked" in printed

@@ -55,8 +55,8 @@ def command(
     diagnose`.
 
     A fifth of the record is the held-out segment: its end, unless only the end shows some pump or fan speed. Errors
-    before and after are of a free run over it. No twin is written if RECORD identifies none of the tunables, if the fitted
-    twin predicts most sensors no better than a constant does, or while a question about units is open.
+    before and after are of a free run over it. No twin is written if RECORD identifies none of the tunables, if a
+    constant predicts most sensors as well as the fitted twin, or while a question about units is open.
 
     \b
     Example:
