@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,10 +21,11 @@ from hil.diagnosis.healthy_record import HealthyRecord, commissioned_on, is_othe
 from hil.diagnosis.results import provenance, write
 from hil.diagnosis.revision import revise, write_proposal
 from hil.journal import record_sha256
-from hil.record import ReadingOptions
+from hil.record import ReadingOptions, read_record
 from hil.record.values import open_questions
 from twin import Network, TwinFileError, load
 from twin.discovery import (
+    FLOW_MEASURED,
     Columns,
     Diagnosis,
     Limits,
@@ -36,6 +37,9 @@ from twin.discovery import (
     fits_growth,
     with_unused,
 )
+
+FLOWS = ("_L_per_min", "_m3_per_h", "_kg_per_s", "_kg_s")
+"""Suffixes of columns of a measured flow."""
 
 
 @dataclass(frozen=True)
@@ -167,9 +171,26 @@ def diagnose_files(ready: PreparedDiagnosis, say: Callable[[str], None], note: C
         raise TwinFileError(f"{request.record}: {error}") from None
     if not request.units_checked:
         found = depending_on_units(found, network, messages)
+    if found.next_experiment and FLOW_MEASURED in found.next_experiment["measure"]:
+        found = with_unread_flow(found, network, read_record(request.record, choice=request.choice).columns)
     if ready.stored.why:
         found = dataclasses.replace(found, notes=(ready.stored.why, *found.notes))
     return found
+
+
+def with_unread_flow(found: Diagnosis, network: Network, columns: Iterable[str]) -> Diagnosis:
+    """Return a diagnosis with a note on a measured flow among the record's columns that the twin does not read."""
+    flow = next((e for e in network.elements if e.kind == "flow"), None)
+    unread = [c for c in columns if c.endswith(FLOWS) and c not in columns_in_use(network)]
+    if flow is None or not unread:
+        return found
+    nominal = network.parameters[f"{flow.name}.nominal"]
+    note = (
+        f"the record has a measured flow that the twin does not read ({', '.join(unread)}): compare it at equal pump "
+        f"speeds before and after the onset; to have the twin follow it, give it in % of {nominal.value:.4g} "
+        f"{nominal.unit} as the column that pump of {flow.name} names, then commission and diagnose again"
+    )
+    return dataclasses.replace(found, notes=(*found.notes, note))
 
 
 def columns_in_use(network: Network) -> set[str]:
