@@ -199,7 +199,7 @@ def _named(network: Network, e: Element) -> str:
     if specs:
         p = network.parameters[f"{e.name}.{specs[0].name}"]
         value = f"  {p.value:.3g} {p.unit}" if p.unit != "1" else f"  x {p.value:.3g}"
-    driven = [c for c in e.inputs() if not c.startswith("T_amb")]
+    driven = [c for c in e.inputs() if c != network.room]
     return f"{e.name}{value}" + (f"  ({', '.join(driven)})" if driven else "")
 
 

@@ -13,7 +13,13 @@ if TYPE_CHECKING:
     from hil.diagnosis.columns import choice_for, columns_of, read_columns, read_healthy, with_clock
     from hil.diagnosis.experiment_file import rig_of
     from hil.diagnosis.forecast import show_forecast
-    from hil.diagnosis.healthy_record import commissioned_on, copy_record, healthy_path, save_with_record
+    from hil.diagnosis.healthy_record import (
+        commissioned_on,
+        copy_record,
+        healthy_path,
+        save_with_record,
+        without_stuck,
+    )
     from hil.diagnosis.live import END_ONLY, LiveConfig, LiveDiagnosis, Reply, interval_of
     from hil.diagnosis.page import PAGE_STYLE
     from hil.diagnosis.page import STYLE as FIGURE_STYLE
@@ -22,6 +28,7 @@ if TYPE_CHECKING:
         DiagnosisRequest,
         PreparedDiagnosis,
         Written,
+        columns_in_use,
         described,
         diagnose_files,
         prepare,
@@ -63,6 +70,7 @@ __all__ = [
     "after_label",
     "ambiguity_group",
     "choice_for",
+    "columns_in_use",
     "columns_of",
     "commissioned_on",
     "copy_record",
@@ -86,6 +94,7 @@ __all__ = [
     "short",
     "show_forecast",
     "with_clock",
+    "without_stuck",
     "write_curves",
     "write_document",
     "write_results",
@@ -109,6 +118,7 @@ __getattr__, __dir__ = lazy_names(
             "copy_record",
             "healthy_path",
             "save_with_record",
+            "without_stuck",
         ),
         "live": (
             "END_ONLY",
@@ -123,6 +133,7 @@ __getattr__, __dir__ = lazy_names(
             "DiagnosisRequest",
             "PreparedDiagnosis",
             "Written",
+            "columns_in_use",
             "described",
             "diagnose_files",
             "prepare",

@@ -11,7 +11,9 @@ import numpy as np
 
 from drivers.rig_file import file_sha256
 from hil.record import Record, write_record
+from hil.record.times import span
 from twin import Network, TwinFileError, chain, save
+from twin.discovery import stuck
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,22 @@ class HealthyRecord:
 def healthy_path(twin: Path) -> Path:
     """Return the path for the healthy record of a new twin file."""
     return twin.with_name(f"{twin.stem}.healthy.parquet")
+
+
+def without_stuck(network: Network, record: Record) -> Record:
+    """Return a record without the readings of stuck thermometers, and with a message about each."""
+    columns, messages = dict(record.columns), []
+    for sensor in network.sensors:
+        sigma = network.parameters[f"{sensor.name}.sigma"].value
+        for name in sensor.measured:
+            for one in stuck(name, record.time_s, record.columns[name], sigma) if name in record.columns else ():
+                columns[name] = columns[name].copy()
+                columns[name][one.rows] = np.nan
+                messages.append(
+                    f"{name} reads {one.value:g} without any noise from {span(one.first_s)} to {span(one.last_s)}, as "
+                    "a stuck channel does: its readings there are left out of the fit and of the healthy record"
+                )
+    return dataclasses.replace(record, columns=columns, messages=(*record.messages, *messages))
 
 
 def save_with_record(network: Network, record: Record, out: Path) -> Path:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,10 +21,11 @@ from hil.diagnosis.healthy_record import HealthyRecord, commissioned_on, is_othe
 from hil.diagnosis.results import provenance, write, write_data
 from hil.diagnosis.revision import revise, write_proposal
 from hil.journal import record_sha256
-from hil.record import ReadingOptions
-from hil.record.values import UnitQuestion
+from hil.record import ReadingOptions, read_record
+from hil.record.values import open_questions
 from twin import Network, TwinFileError, load
 from twin.discovery import (
+    FLOW_MEASURED,
     Columns,
     Diagnosis,
     Limits,
@@ -37,6 +37,9 @@ from twin.discovery import (
     fits_growth,
     with_unused,
 )
+
+FLOWS = ("_L_per_min", "_m3_per_h", "_kg_per_s", "_kg_s")
+"""Suffixes of columns of a measured flow."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,8 @@ class DiagnosisRequest:
         How the records are read.
     named
         Function that names a file in the results, where copies have the names of their originals; None takes the path.
+    units_checked
+        True if the record's units are right, whatever its reader asks about them.
     """
 
     record: Path
@@ -77,6 +82,7 @@ class DiagnosisRequest:
     clock: str | None = None
     choice: ReadingOptions | None = None
     named: Callable[[Path], str] | None = None
+    units_checked: bool = False
 
     def name_of(self, path: Path) -> str:
         """Return the name of a file in the results."""
@@ -177,10 +183,33 @@ def diagnose_files(ready: PreparedDiagnosis, say: Callable[[str], None], note: C
         raise TwinFileError(f"{ready.healthy_file}: {error}") from None
     except TwinFileError as error:
         raise TwinFileError(f"{request.record}: {error}") from None
-    found = depending_on_units(found, network, messages)
+    if not request.units_checked:
+        found = depending_on_units(found, network, messages)
+    if found.next_experiment and FLOW_MEASURED in found.next_experiment["measure"]:
+        found = with_unread_flow(found, network, read_record(request.record, choice=request.choice).columns)
     if ready.stored.why:
         found = dataclasses.replace(found, notes=(ready.stored.why, *found.notes))
     return found
+
+
+def with_unread_flow(found: Diagnosis, network: Network, columns: Iterable[str]) -> Diagnosis:
+    """Return a diagnosis with a note on a measured flow among the record's columns that the twin does not read."""
+    flow = next((e for e in network.elements if e.kind == "flow"), None)
+    unread = [c for c in columns if c.endswith(FLOWS) and c not in columns_in_use(network)]
+    if flow is None or not unread:
+        return found
+    nominal = network.parameters[f"{flow.name}.nominal"]
+    note = (
+        f"the record has a measured flow that the twin does not read ({', '.join(unread)}): compare it at equal pump "
+        f"speeds before and after the onset; to have the twin follow it, give it in % of {nominal.value:.4g} "
+        f"{nominal.unit} as the column that pump of {flow.name} names, then commission and diagnose again"
+    )
+    return dataclasses.replace(found, notes=(*found.notes, note))
+
+
+def columns_in_use(network: Network) -> set[str]:
+    """Return the columns of a record that a twin reads: its inputs and those of its sensors."""
+    return set(network.recorded_inputs) | {c for named in network.sensor_columns.values() for c in named}
 
 
 def depending_on_units(found: Diagnosis, network: Network, messages: Sequence[str]) -> Diagnosis:
@@ -189,12 +218,11 @@ def depending_on_units(found: Diagnosis, network: Network, messages: Sequence[st
     A wrong unit of a column reads like an effect. As long as one is open, an effect is one of two explanations: the
     verdict is `ambiguous`, and the twin gets no revision.
     """
-    columns = set(network.recorded_inputs) | {c for named in network.sensor_columns.values() for c in named}
-    asked = [said for said in messages if isinstance(said, UnitQuestion)]
-    asked = [said for said in asked if any(re.search(rf"\b{re.escape(column)}\b", said) for column in columns)]
+    asked = open_questions(columns_in_use(network), messages)
     if not asked:
         return found
-    warning = f"the answer depends on an open question of units: {' '.join(asked)} Correct the record or its heading"
+    open_units = f"the answer depends on an open question of units: {' '.join(asked)}"
+    warning = f"{open_units} Correct the record or its heading, or give --units-checked"
     found = dataclasses.replace(found, warnings=(warning, *found.warnings))
     if found.verdict != "effect found":
         return found

@@ -166,6 +166,21 @@ def test_an_input_that_drops_for_a_row_is_named_unless_it_does_so_by_nature() ->
     assert suspicious_inputs(time, held, least) == ()
 
 
+@pytest.mark.parametrize("hold", [30, 700])
+def test_noise_in_proportion_to_the_level_of_an_input_names_no_row(hold: int) -> None:
+    """A power meter of a percentage of its reading, under loads that are held for long or not."""
+    named, seeds = 0, 20
+    time = np.arange(21_000) * 1.0
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        level = np.repeat(rng.choice([100.0, 400.0, 800.0, 1200.0, 2000.0], len(time) // hold), hold)
+        power = (level * (1.0 + 0.003 * rng.standard_normal(len(level))))[:, None]
+        named += bool(suspicious_inputs(time, power, np.array([100.0])))
+        power[5000] += 80.0
+        assert any(found.row == 5000 for found in suspicious_inputs(time, power, np.array([100.0])))
+    assert named <= 2
+
+
 def test_rows_beside_a_step_of_an_input_are_known_and_noise_and_ramps_make_none() -> None:
     rng = np.random.default_rng(8)
     inputs = np.column_stack([np.repeat([40.0, 80.0], 300), rng.normal(50.0, 1.0, 600), np.linspace(0.0, 100.0, 600)])

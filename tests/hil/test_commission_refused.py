@@ -46,15 +46,18 @@ def test_a_twin_of_whose_tunables_none_is_identified_is_refused(
 
 
 @pytest.mark.parametrize(("wrong", "refused"), [(1, False), (3, True), (4, True)])
-def test_a_twin_that_errs_by_more_than_its_sensors_move_is_refused(
+def test_a_twin_that_errs_by_as_much_as_a_constant_is_refused(
     made: tuple[Bench, Columns], fitted: CommissionResult, wrong: int, refused: bool
 ) -> None:
     measured = made[1].measured
-    spans = np.ptp(measured, axis=0)
-    errors = [3.0 * s if j < wrong else 0.1 for j, s in enumerate(spans)]
-    absurd = dataclasses.replace(fitted, rmse_after=dict(zip(fitted.rmse_after, errors, strict=True)))
-    said = refusal_reason(absurd, measured)
-    assert ("the error over the held-out segment is larger than the range of the readings" in said) == refused
+    moved = measured.std(axis=0)
+    errors = [1.1 * s if j < wrong else 0.1 for j, s in enumerate(moved)]
+    said = ""
+    for part in ("rmse_after", "rmse_fitted"):
+        absurd = dataclasses.replace(fitted, **{part: dict(zip(fitted.rmse_after, errors, strict=True))})
+        said = refusal_reason(absurd, measured)
+        assert bool(said) == refused
+    assert ("the fitted twin predicts the readings no better than a constant does" in said) == refused
     endless = dataclasses.replace(fitted, rmse_after=dict.fromkeys(fitted.rmse_after, float("inf")))
     assert refusal_reason(endless, measured)
 
@@ -88,6 +91,41 @@ def test_no_file_is_written_where_the_error_is_absurd(tmp_path: Path, made: tupl
     code, printed = hil("commission", path, "--twin", LOOP, "--out", tmp_path / "new.toml")
     assert code == 2 and f"{path}: no twin is written: " in printed and "Traceback" not in printed
     assert not list(tmp_path.glob("new*"))
+
+
+def test_a_twin_is_not_fitted_while_a_question_about_units_is_open(tmp_path: Path, made: tuple[Bench, Columns]) -> None:
+    bench, record = made
+    path = written(bench.network, record, tmp_path / "kilowatts.parquet")
+    right = read_record(path)
+    write_record(
+        Record(right.time_s, {**right.columns, "pump_speed_pct": 0.01 * right.columns["pump_speed_pct"]}), path
+    )
+    said = ["commission", path, "--twin", LOOP, "--out", tmp_path / "new.toml"]
+    code, printed = hil(*said)
+    assert code == 2 and "is it a fraction of 1?" in printed and "--units-checked" in printed
+    assert not list(tmp_path.glob("new*"))
+    code, printed = hil(*said, "--units-checked")
+    assert "open question of units" not in printed
+
+
+def test_readings_of_a_stuck_channel_are_left_out_of_the_fit_and_of_what_is_stored(
+    tmp_path: Path, made: tuple[Bench, Columns]
+) -> None:
+    bench, record = made
+    path = written(bench.network, record, tmp_path / "good.parquet")
+    good = read_record(path)
+    tank = good.columns["T_tank_C"].copy()
+    rows = slice(len(tank) // 5, len(tank) // 2)
+    values = []
+    for name, level in (("stuck", float(tank.mean())), ("missing", np.nan)):
+        tank[rows] = level
+        write_record(Record(good.time_s, {**good.columns, "T_tank_C": tank}), tmp_path / f"{name}.parquet")
+        out = tmp_path / f"{name}.toml"
+        code, printed = hil("commission", tmp_path / f"{name}.parquet", "--twin", LOOP, "--out", out)
+        assert code == 0 and ("without any noise from" in printed) == (name == "stuck")
+        values.append(load(out).values)
+        assert np.isnan(read_record(tmp_path / f"{name}.healthy.parquet").columns["T_tank_C"][rows]).all()
+    assert np.array_equal(*values)
 
 
 def test_an_overload_changes_nothing_in_a_twin(tmp_path: Path, made: tuple[Bench, Columns]) -> None:

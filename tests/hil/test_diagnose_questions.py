@@ -15,12 +15,14 @@ from click.testing import CliRunner
 from drivers.rig_file.reader import load_rig
 from hil.cli import group
 from hil.diagnosis.experiment_file import limits_of
+from hil.diagnosis.session import with_unread_flow
 from hil.profile.load_profile import read_profile, validate
 from hil.record.reader import Record, write_record
 from hil.run.session.request import setpoint_limits
 from tests.discovery.conftest import Bench, brisk, brisk_healthy  # noqa: F401
 from tests.discovery.plans import run, steady
 from tests.hil.command_line import typed
+from tests.hil.made_diagnosis import made
 from tests.hil.made_record import written
 from tests.twin.conftest import LOOP
 from twin.discovery.healthy.basis import Columns
@@ -177,3 +179,11 @@ def test_a_catalogue_is_checked(place: Mapping[str, Path]) -> None:
     assert "To separate those of two places, measure there" in done.stdout
     refused = typed("check", RIG, "--catalogue")
     assert refused.returncode == 2 and "--catalogue" in refused.stderr
+
+
+def test_a_measured_flow_that_the_twin_does_not_read_is_named_with_its_use() -> None:
+    twin = load(LOOP)
+    columns = [*twin.input_columns, *twin.sensor_names, "flow_L_per_min"]
+    (note,) = with_unread_flow(made("ambiguous"), twin, columns).notes
+    assert "(flow_L_per_min)" in note and "in % of 3.785 L/min as the column that pump of circuit names" in note
+    assert not with_unread_flow(made("ambiguous"), twin, columns[:-1]).notes

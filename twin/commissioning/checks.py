@@ -17,7 +17,7 @@ def refusal_reason(result: CommissionResult, measured: ArrayLike) -> str:
     """Return why the twin must not be used, one sentence, or "" where nothing speaks against it.
 
     A twin is refused where the record identifies none of its tunables. It is also refused where most sensors are
-    predicted worse, over the held-out segment, than by any constant within the range of their readings. A single such
+    predicted no better than by a constant, their mean, on the held-out segment or on the fitted part. A single such
     sensor may be dead or wired to another place.
 
     Parameters
@@ -40,12 +40,12 @@ def refusal_reason(result: CommissionResult, measured: ArrayLike) -> str:
         if not len(read) or np.isnan(error):
             continue
         judged += 1
-        span = float(np.ptp(read))
-        if not error <= max(span, ABSURD_SIGMA * float(result.network.sigma[j])):
-            absurd.append(f"{sensor} by {error:.3g} K where it moves by {span:.3g} K")
+        worst, moved = max(error, result.rmse_fitted[sensor]), float(read.std())
+        if not worst < max(moved, ABSURD_SIGMA * float(result.network.sigma[j])):
+            absurd.append(f"{sensor} is off by {worst:.3g} K, its mean by {moved:.3g} K")
     if judged and len(absurd) > judged / 2:
         return (
-            f"the error over the held-out segment is larger than the range of the readings ({'; '.join(absurd[:3])}"
+            f"the fitted twin predicts the readings no better than a constant does ({'; '.join(absurd[:3])}"
             f"{'; ...' if len(absurd) > 3 else ''}); check the units of the record's columns, its clock and the twin's "
             "structure"
         )

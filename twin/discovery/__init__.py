@@ -24,12 +24,14 @@ if TYPE_CHECKING:
     from twin.discovery.healthy.basis import Columns, CommissionedRecord
     from twin.discovery.healthy.claim_threshold import keep_bootstrap
     from twin.discovery.healthy.health import NotHealthyError
-    from twin.discovery.planning.experiment import Limits
+    from twin.discovery.planning.experiment import FLOW_MEASURED, Limits
     from twin.discovery.planning.forecast import Forecast
     from twin.discovery.records.grid import TooShortError, require_enough
+    from twin.discovery.records.stuck_readings import stuck
 
 
 __all__ = [
+    "FLOW_MEASURED",
     "HELD_OUT_WORSE",
     "Columns",
     "CommissionedRecord",
@@ -53,6 +55,7 @@ __all__ = [
     "keep_bootstrap",
     "label_text",
     "require_enough",
+    "stuck",
     "with_unused",
 ]
 
@@ -73,8 +76,9 @@ __getattr__, __dir__ = lazy_names(
         "healthy.basis": ("Columns", "CommissionedRecord"),
         "healthy.claim_threshold": ("keep_bootstrap",),
         "healthy.health": ("NotHealthyError",),
-        "planning.experiment": ("Limits",),
+        "planning.experiment": ("FLOW_MEASURED", "Limits"),
         "planning.forecast": ("Forecast",),
         "records.grid": ("TooShortError", "require_enough"),
+        "records.stuck_readings": ("stuck",),
     },
 )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ class Candidate:
     @property
     def sticks(self) -> bool:
         """Return True for a thermometer that reads the same whatever it measures."""
-        return self.kind == "sensor" and any(name.endswith("_sticks") for name in self.adds)
+        return self.kind == "sensor" and any("_sticks" in name for name in self.adds)
 
     @property
     def passes(self) -> bool:
@@ -153,6 +154,37 @@ class Sites:
     def having(self, kind: str) -> tuple[Any, ...]:
         """Return the network's elements of a kind."""
         return tuple(e for e in self.elements if e.kind == kind)
+
+
+def free_name(stem: str, elements: Iterable[Element]) -> str:
+    """Return a name that no element has: `stem`, or with a number after it."""
+    taken = {e.name for e in elements}
+    return next(name for k in range(1, len(taken) + 2) if (name := stem if k == 1 else f"{stem}_{k}") not in taken)
+
+
+def with_free_names(candidate: Candidate, elements: tuple[Element, ...]) -> Candidate:
+    """Return a candidate, and those that it makes, whose added elements have names that no element of a twin has."""
+    names = {name: free_name(name, elements) for name in candidate.adds}
+    near, slower = candidate.near, candidate.slower
+    if near is not None:
+        candidate = replace(candidate, near=partial(_free_near, near, elements))
+    if slower is not None:
+        candidate = replace(candidate, slower=partial(_free_slower, slower, elements))
+    if all(name == free for name, free in names.items()):
+        return candidate
+    changes = {}
+    for key, weight in candidate.changes.items():
+        element, _, parameter = key.rpartition(".")
+        changes[f"{names.get(element, element)}.{parameter}"] = weight
+    return replace(candidate, adds={names[name]: table for name, table in candidate.adds.items()}, changes=changes)
+
+
+def _free_near(near: Callable[[], tuple[Candidate, ...]], elements: tuple[Element, ...]) -> tuple[Candidate, ...]:
+    return tuple(with_free_names(one, elements) for one in near())
+
+
+def _free_slower(slower: Callable[[float], Candidate], elements: tuple[Element, ...], slow_s: float) -> Candidate:
+    return with_free_names(slower(slow_s), elements)
 
 
 def input_target(column: str) -> str:

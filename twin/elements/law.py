@@ -251,7 +251,7 @@ class LawFluid(Law):
     @classmethod
     def missing_candidates(cls, sites: Sites) -> tuple[Candidate, ...]:
         """Return water that is filled in for a time where water flows."""
-        wet, known = {*sites.before, *sites.before.values()}, {e.name for e in sites.elements}
+        wet, known = {*sites.before, *sites.before.values()}, {e.name for e in sites.having(cls.kind)}
         return tuple(
             Candidate(
                 "heat_source",

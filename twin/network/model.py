@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -163,6 +164,13 @@ class Network:
     def input_columns(self) -> tuple[str, ...]:
         """Return the input columns; the order of every input array."""
         return tuple(self.inputs)
+
+    @cached_property
+    def room(self) -> str:
+        """Return the input column that most elements name as ambient, else the first T_amb..., or ""."""
+        named = Counter(str(getattr(e, "ambient", "")) for e in self.elements)
+        known = [column for column, _ in named.most_common() if column in self.inputs]
+        return next((c for c in (*known, *self.inputs) if c in known or c.startswith("T_amb")), "")
 
     @cached_property
     def recorded_inputs(self) -> tuple[str, ...]:
@@ -353,10 +361,7 @@ class Network:
         return np.where(np.isfinite(state), state, fallback)
 
     def _room(self) -> float:
-        for column, spec in self.inputs.items():
-            if column.startswith("T_amb"):
-                return spec.nominal
-        return 20.0
+        return self.inputs[self.room].nominal if self.room else 20.0
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from twin.column_names import UNITS_OF_SUFFIX
 from twin.elements import KINDS
 from twin.elements.base import STAMP
+from twin.elements.candidates import free_name
 from twin.elements.law import Law
 from twin.network import Network, Revision, TwinFileError
 from twin.revisions.revision_chain import NOTHING, with_elements
@@ -80,8 +81,7 @@ def adopt_law(
 
 def _free_name(network: Network, keys: Mapping[str, str]) -> str:
     place = next((keys[key] for key in ("node", "flow", "sensor", "column") if keys.get(key)), "site")
-    stem, taken = f"{keys['kind']}_{place}", {e.name for e in network.elements}
-    return next(text for k in range(1, len(taken) + 2) if (text := stem if k == 1 else f"{stem}_{k}") not in taken)
+    return free_name(f"{keys['kind']}_{place}", network.elements)
 
 
 def _declared(network: Network, column: str, columns: Mapping[str, ArrayLike]) -> dict[str, Any]:

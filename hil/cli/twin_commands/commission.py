@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     metavar="K",
     help="Tightness of the prior on the initial state at the first readings; 0.1 for a record that begins at rest.",
 )
+@click.option("--units-checked", is_flag=True, help="Take the units of RECORD as right, whatever is asked about them.")
 @reading
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
@@ -46,6 +47,7 @@ def command(
     out: Path,
     seed: int,
     initial_sd: float,
+    units_checked: bool,
     as_json: bool,
     choice: ReadingOptions,
 ) -> None:
@@ -55,8 +57,8 @@ def command(
     diagnose`.
 
     A fifth of the record is the held-out segment: its end, unless only the end shows some pump or fan speed. Errors
-    before and after are of a free run over it. No twin is written if RECORD identifies none of the tunables, or if the
-    error of the fitted twin there exceeds the whole movement of its sensors.
+    before and after are of a free run over it. No twin is written if RECORD identifies none of the tunables, if a
+    constant predicts most sensors as well as the fitted twin, or while a question about units is open.
 
     \b
     Example:
@@ -65,10 +67,10 @@ def command(
       hil commission commissioning.parquet --datasheet datasheet.json --twin profiles/twins/loop_six.toml --out my.toml
     """
     from hil.cli.options import record_of
-    from hil.diagnosis import healthy_path, save_with_record
+    from hil.diagnosis import columns_in_use, healthy_path, save_with_record, without_stuck
     from hil.files import printable
     from hil.record import read_record
-    from hil.record.values import beyond_declared
+    from hil.record.values import beyond_declared, open_questions
     from hil.run.session import console
     from hil.run_folder import RunFolderError, require_output
     from twin import CommissionOptions, TwinFileError, clock_warning, commission, from_datasheet, load, refusal_reason
@@ -83,6 +85,13 @@ def command(
     record = record_of(target)
     data = read_record(record, choice=choice)
     data.require(*network.recorded_inputs)
+    data = without_stuck(network, data)
+    messages = (*data.messages, *beyond_declared(network, data.columns))
+    if (asked := open_questions(columns_in_use(network), messages)) and not units_checked:
+        raise TwinFileError(
+            f"{record}: no twin is written, since the fit depends on an open question of units: {' '.join(asked)} "
+            "Correct the record or its heading, or give --units-checked if they are right"
+        )
     try:
         inputs, measured = network.select(data.columns)
     except TwinFileError as error:
@@ -94,7 +103,6 @@ def command(
         measured,
         CommissionOptions(seed=seed, initial_sd=initial_sd, made_by=f"hil commission {printable(record.name)}"),
     )
-    messages = (*data.messages, *beyond_declared(network, data.columns))
     if why := refusal_reason(result, measured):
         for message in messages:
             console(quiet=as_json).print(message, markup=False, soft_wrap=True)

@@ -49,6 +49,7 @@ STEPS = 6.0
 )
 @click.option("--clock", help="Time of day at 0 s of the record, like 08:00, if the record does not state it.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for the results.")
+@click.option("--units-checked", is_flag=True, help="Take the units of RECORD as right, whatever is asked about them.")
 @click.option("--dry", is_flag=True, help="Propose only: write no revision of the twin and no files.")
 @click.option(
     "--empirical", is_flag=True, help="If no effect explains RECORD: adopt the empirical curve that is offered."
@@ -78,6 +79,7 @@ def command(
     rig: Path | None,
     clock: str | None,
     out: Path | None,
+    units_checked: bool,
     dry: bool,
     empirical: bool,
     review: bool,
@@ -121,6 +123,7 @@ def command(
             "--at-rest": at_rest,
             "--rig": rig,
             "--clock": clock,
+            "--units-checked": units_checked,
             "--empirical": empirical,
             "--review": review,
             "--forecast": forecast,
@@ -164,6 +167,7 @@ def command(
         rig=allowed,
         clock=clock,
         choice=choice,
+        units_checked=units_checked,
     )
     if bootstrap and (at_rest or no_healthy):
         raise click.UsageError("--bootstrap draws records like the healthy one: give it with --healthy")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
         readings,
         trimmed,
     )
-    from hil.record.values.question import UnitQuestion
+    from hil.record.values.question import UnitQuestion, open_questions
     from hil.record.values.steady import standing_still, unit_jumps
     from hil.record.values.units import COLDEST_K, beyond_declared, is_difference, of_a_room, remarks
 
@@ -43,6 +43,7 @@ __all__ = [
     "is_difference",
     "may_be_lost",
     "of_a_room",
+    "open_questions",
     "parse",
     "readings",
     "remarks",
@@ -68,7 +69,7 @@ __getattr__, __dir__ = lazy_names(
             "readings",
             "trimmed",
         ),
-        "question": ("UnitQuestion",),
+        "question": ("UnitQuestion", "open_questions"),
         "steady": ("standing_still", "unit_jumps"),
         "units": (
             "COLDEST_K",

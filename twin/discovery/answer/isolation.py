@@ -144,8 +144,9 @@ def _effect(entry: Entry, finding: Finding, sure: float, grid: Grid) -> Effect:
 def _onsets(entry: Entry, finding: Finding) -> tuple[float, float]:
     """Return the 90 % interval of an onset, s.
 
-    It holds all onsets that the scan does not distinguish. Slopes about the fit reach no further than the next edge of
-    a block. Where the driver of an effect stands still, they give no information about its onset.
+    It holds all onsets that the scan does not distinguish, and half a bin on either side: within a bin, an onset shows
+    only as far as the twin is exact there. Slopes about the fit reach no further than the next edge of a block. Where
+    the driver of an effect stands still, they give no information about its onset.
     """
     onset, spread = entry.shape.onset_s, SE90 * entry.onset_sd_s
     if onset <= 0.0:
@@ -157,7 +158,8 @@ def _onsets(entry: Entry, finding: Finding) -> tuple[float, float]:
     if entry.shape.name == "step":
         spread = min(spread, score_test.step_s)
     low, high = min(onset, first), max(onset, last)
-    early, late = min(low, onset - spread), max(high, onset + spread)
+    half = 0.5 * score_test.grid.step_s
+    early, late = min(low, onset - spread) - half, max(high, onset + spread) + half
     return max(early, 0.0), min(late, score_test.grid.span_s)
 
 

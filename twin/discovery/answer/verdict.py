@@ -45,6 +45,10 @@ _BEYOND = (
     "something misfits that no effect of the catalogue explains, by no more than a healthy twin may leave where inputs "
     "go far beyond their range in the healthy record; a healthy record with such inputs would tell whether it is new"
 )
+_TOO_LITTLE = (
+    "no effect is likely, and yet the re-tuned twin is off by ten times as much as in health, or by as much as a "
+    "constant; check the units of the record's columns, and whether twin and healthy record are of this rig"
+)
 _USUAL = (
     "re-tuned, the twin is off on the held-out segment by no more than one as good as when it was commissioned may "
     "be under another load; whether what it left as it was means anything, only a healthy record could tell"
@@ -125,7 +129,9 @@ def _fine(case: AssessedFinding) -> Answer:
 
 
 def _unknown(case: AssessedFinding) -> Answer:
-    free, whole = case.free, case.whole
+    free, whole, finding = case.free, case.whole, case.finding
+    if finding.fit is None and max(finding.odds, finding.unlisted) < finding.claim:
+        return Answer("unexplained", alternatives=nearest_effects(finding), notes=(_TOO_LITTLE,))
     # Noise that a healthy record told does not let slow error pass.
     if case.known.plain is None and misled(case.errors, case.known.probe.network):
         return Answer("unexplained", alternatives=nearest_effects(case.finding))

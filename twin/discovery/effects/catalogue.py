@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import Any
 
 from twin.elements import KINDS, Element, Parameter
-from twin.elements.candidates import Candidate, Sites
+from twin.elements.candidates import Candidate, Sites, with_free_names
 from twin.network import InputSpec, Network, TwinFileError
 
 _NUMBERED = re.compile(r"^(?P<stem>\D+)\d+$")
@@ -32,12 +32,13 @@ def catalogue(network: Network) -> tuple[Candidate, ...]:
     found: dict[str, Candidate] = {}
     for kind in KINDS.values():
         for candidate in kind.missing_candidates(sites):
-            found.setdefault(candidate.id, candidate)
+            renamed = with_free_names(candidate, sites.elements)
+            found.setdefault(renamed.id, renamed)
     for element in network.elements:
         for candidate in element.changed_candidates(sites):
             free = {name for name in candidate.changes if not _bound_to_another(network, name)}
             if len(free) == len(candidate.changes):
-                possible = _within_bounds(network, candidate)
+                possible = with_free_names(_within_bounds(network, candidate), sites.elements)
                 found.setdefault(possible.id, possible)
     return tuple(found.values())
 
@@ -70,7 +71,6 @@ def _bound_to_another(network: Network, name: str) -> bool:
 
 def sites_of(network: Network) -> Sites:
     """Return the sites of a network: its places and its drivers."""
-    room = next((c for c in network.input_columns if c.startswith("T_amb")), "")
     clock = next((c for c in network.input_columns if c.startswith("time_of_day")), "")
     before = {node: b for e in network.elements for node, b in e.feeds().items()}
     families: dict[str, list[str]] = {}
@@ -81,7 +81,7 @@ def sites_of(network: Network) -> Sites:
     return Sites(
         nodes=network.nodes,
         inputs=network.input_columns,
-        room=room,
+        room=network.room,
         clock=clock,
         before=before,
         places=_places(network),

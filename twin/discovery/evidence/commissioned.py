@@ -19,6 +19,10 @@ OTHER_LOAD = 6.25
 """Ratio of the squares beyond noise that a re-tuned twin may leave in health to those when commissioned. A lumped twin
 leaves more where the rig moves more (24 healthy records of the virtual rig under other loads: up to 4.2)."""
 
+ORDER = 10.0
+"""Ratio of a held-out error to noise, and to the error in health, from which no load makes it that of a healthy rig:
+four times the root of `OTHER_LOAD`."""
+
 
 def as_commissioned(network: Network, errors: Mapping[str, SensorError]) -> bool:
     """Return True if the re-tuned twin's held-out error is no larger than that of its commissioning in the twin file.
@@ -54,6 +58,25 @@ def as_healthy_elsewhere(errors: Mapping[str, SensorError], off: Array, split: i
     beyond = np.maximum(parts / noise**2 - 1.0, 0.0).sum(axis=1).max()
     then = float(((usual / noise) ** 2 - 1.0).sum())
     return then > 0.0 and float(beyond) <= OTHER_LOAD * then
+
+
+def explains_too_little(network: Network, errors: Mapping[str, SensorError], measured: Array) -> bool:
+    """Return True if a re-tuned twin is off by an order more than in health, or by no less than a constant is.
+
+    Args:
+        errors: over the held-out segment. measured: (n, m) degC, the readings of the whole record. A constant is the
+            mean of a sensor; it counts where most sensors are predicted no better than by theirs.
+    """
+    known = (network.revision.error_after_K, network.revision.error_fitted_K)
+    usual = {name: max(e.noise, e.usual, *(errors.get(name, 0.0) for errors in known)) for name, e in errors.items()}
+    if any(e.before > ORDER * usual[name] for name, e in errors.items()):
+        return True
+    constant = 0
+    for name, e in errors.items():
+        read = measured[:, network.sensor_names.index(name)]
+        moved = float(np.nanstd(read)) if np.isfinite(read).any() else np.inf
+        constant += e.before >= max(moved, ORDER * e.noise)
+    return constant > len(errors) / 2
 
 
 def nothing(finding: Finding) -> Finding:

@@ -21,6 +21,8 @@ MAD = 1.4826
 """Standard deviation of a normal variable over its median absolute deviation."""
 ON_A_SIDE = 2
 """Rows on either side whose mean a row is compared with; the variance of the difference is 1 + 1 / `ON_A_SIDE`."""
+AROUND = 100
+"""Rows of which noise is estimated by its median step: to a tenth."""
 APART = 3.0
 """Typical steps beyond which the next row is no neighbour."""
 
@@ -95,14 +97,14 @@ def suspicious_inputs(time_s: Array, inputs: Array, least: Array) -> tuple[Suspi
     for j in range(inputs.shape[1]):
         before, after = _sides(time_s, inputs[:, j])
         off = _both(before[:, None], after[:, None])[:, 0]
-        noise = _noise(inputs[:, j], 0.0)
-        if noise > 0.0:
+        noise = _noise_of_rows(inputs[:, j])
+        if noise.any():
             rows = np.flatnonzero(np.abs(off) > limit * noise)
         else:
             same = 1e-9 * float(np.abs(least[j]))
             rows = np.flatnonzero((np.abs(off) > least[j]) & (np.abs(before - after) <= same))
-        if len(rows) <= MOST_ROWS or noise > 0.0:
-            times = [abs(off[r]) / noise if noise > 0.0 else 0.0 for r in rows]
+        if len(rows) <= MOST_ROWS or noise.any():
+            times = [abs(off[r]) / noise[r] if noise.any() else 0.0 for r in rows]
             found += [Suspicious(int(r), (j,), (float(off[r]),), t) for r, t in zip(rows, times, strict=True)]
     return tuple(sorted(found, key=lambda s: -s.times))
 
@@ -119,7 +121,8 @@ def near_steps(inputs: Array, least: Array) -> np.ndarray:
     """
     near = np.zeros(len(inputs), dtype=bool)
     for values, size in zip(inputs.T, least, strict=True):
-        limit = max(float(size), -ndtri(0.5 * LEVEL / max(len(values), 1)) * np.sqrt(2.0) * _noise(values, 0.0))
+        noise = -ndtri(0.5 * LEVEL / max(len(values), 1)) * np.sqrt(2.0) * _noise_of_rows(values)
+        limit = np.maximum(float(size), np.maximum(noise[1:], noise[:-1]))
         for row in np.flatnonzero(np.abs(np.diff(values)) > limit):
             near[max(row + 1 - ON_A_SIDE, 0) : row + 1 + ON_A_SIDE] = True
     return near
@@ -163,6 +166,31 @@ def _noise(values: Array, declared: float) -> float:
     if not steps.size:
         return 0.0
     return MAD * float(np.median(steps)) / np.sqrt(2.0) or declared
+
+
+def _noise_of_rows(values: Array) -> Array:
+    """Return the standard deviation of a column's noise at each row (n,); all 0 for a column that is held.
+
+    Noise may be relative to the level, or come and go. So that of a row is the largest of the whole column, of the rows
+    around it in time, and of the rows around it in the order of levels. The level is a median, which no spike moves.
+    """
+    whole = _noise(values, 0.0)
+    noise = np.full(len(values), whole)
+    good = np.flatnonzero(np.isfinite(values))
+    if not whole or len(good) < 2 * AROUND:
+        return noise
+    v = values[good]
+    steps = np.abs(np.diff(v, append=v[-1]))
+    levels = np.median(
+        np.lib.stride_tricks.sliding_window_view(np.pad(v, ON_A_SIDE, mode="edge"), 1 + 2 * ON_A_SIDE), axis=1
+    )
+    for order in (np.arange(len(v)), np.argsort(levels, kind="stable")):
+        parts = np.array_split(order, len(order) // AROUND)
+        sizes = MAD * np.array([np.median(steps[part]) for part in parts]) / np.sqrt(2.0)
+        wide = np.pad(sizes, 1, mode="edge")
+        for part, size in zip(parts, np.maximum(np.maximum(wide[:-2], wide[1:-1]), wide[2:]), strict=True):
+            noise[good[part]] = np.maximum(noise[good[part]], size)
+    return noise
 
 
 def _quantum(values: Array) -> float:

@@ -17,6 +17,7 @@ import numpy as np
 
 from twin.discovery.diagnosis import Course, SensorError
 from twin.discovery.records.grid import Grid, centred
+from twin.elements.candidates import free_name
 from twin.elements.empirical_heat import FARTHEST_KNOT, KNOTS, MOST_HEAT_W
 from twin.kernel import Kernel
 from twin.network import Array, Network
@@ -156,7 +157,5 @@ def _with_curve(
     z = scaling.to_z(network.values[scaling.index]) + moved[: known.probe.q]
     values = np.clip(scaling.to_values(z), scaling.lower, scaling.upper)
     own = {i: float(v) for i, v in zip(scaling.ids, values, strict=True) if not network.parameters[i].same_as}
-    name = f"unexplained_at_{node}"
-    while any(e.name == name for e in network.elements):
-        name += "_again"
+    name = free_name(f"unexplained_at_{node}", network.elements)
     return with_elements(network.with_values(own), {name: table})

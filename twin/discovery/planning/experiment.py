@@ -232,13 +232,14 @@ def _impossible(causes: tuple[Ranked, ...], why: str) -> dict[str, Any]:
     }
 
 
+FLOW_MEASURED = "the flow by bucket and stopwatch"
 _MEASURE = {
     ("actuator", "heater_power"): "a second power meter at the heater",
-    ("actuator", "pump_speed"): "the flow by bucket and stopwatch",
+    ("actuator", "pump_speed"): FLOW_MEASURED,
     ("actuator", "fan_speed"): "the fan's speed by a tachometer",
     ("sensor", "T_ambient"): "a second thermometer in the air that the radiator draws in",
     ("sensor", ""): "the thermometer swapped with another, or held into the same bath",
-    ("flow", ""): "the flow by bucket and stopwatch",
+    ("flow", ""): FLOW_MEASURED,
     ("heat_rejection", ""): "the air's temperature before and behind the radiator",
     ("heat_source", ""): "a power meter at whatever may give off heat there",
     ("heat_loss", ""): "the place wrapped in insulation for an hour",

@@ -223,7 +223,7 @@ def _basis(network: Network, grid: Grid, mean: Array, edges: np.ndarray) -> Arra
     """Return the regressors of healthy differences: offset, and excess over the room, alone and over the flow."""
     rows = np.add.reduceat(grid.inputs, edges[:-1], axis=0)[: len(edges) - 1] / np.diff(edges)[:, None]
     columns = list(network.input_columns)
-    room = next((rows[:, j] for j, c in enumerate(columns) if c.startswith("T_amb")), np.zeros(len(rows)))
+    room = rows[:, columns.index(network.room)] if network.room else np.zeros(len(rows))
     pump = next((rows[:, j] for j, c in enumerate(columns) if c.startswith("pump")), np.full(len(rows), 100.0))
     excess = mean - room
     return np.column_stack([np.ones(len(rows)), excess, excess * 100.0 / np.maximum(pump, 5.0)])
@@ -266,7 +266,7 @@ def _follows(network: Network, grid: Grid, mean: Array, edges: np.ndarray) -> di
     """Return the drivers of a place in blocks: its excess over the room, and the heater's power."""
     rows = np.add.reduceat(grid.inputs, edges[:-1], axis=0)[: len(edges) - 1] / np.diff(edges)[:, None]
     columns = dict(zip(network.input_columns, rows.T, strict=True))
-    room = next((values for name, values in columns.items() if name.startswith("T_amb")), None)
+    room = columns.get(network.room)
     power = next((values for name, values in columns.items() if name.startswith("heater_power")), None)
     found = {"temperature": mean}
     if room is not None:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from twin.discovery.effects.laws import CandidateLaw
+from twin.elements.candidates import free_name
 from twin.network import Array, Network
 
 SOLID_K_PER_W = tuple(float(f"{0.003 * 1.5**i:.3g}") for i in range(7))
@@ -89,11 +90,12 @@ def _heat_site(network: Network, law: CandidateLaw) -> OpenSite:
     name = f"heat_{_plain(c.where)}"
     nodes = [(network.nodes[k], float(w / weight.sum())) for k, w in enumerate(weight) if w > 0.0]
     response = law.heat / max(float(law.heat.sum(axis=1).max()), 1e-12)
+    elements = {node: free_name(f"{name}_{node}", network.elements) for node, _ in nodes}
     tables = {
-        f"{name}_{node}": {"kind": "law_heat", "node": node, "driver": f"open_{name}", "form": "linear"}
-        for node, _ in nodes
+        element: {"kind": "law_heat", "node": node, "driver": f"open_{name}", "form": "linear"}
+        for node, element in elements.items()
     }
-    changes = {f"{name}_{node}.gain": share for node, share in nodes}
+    changes = {f"{elements[node]}.gain": share for node, share in nodes}
     return OpenSite(
         name,
         "heat_source",
@@ -117,10 +119,12 @@ def _reading_site(network: Network, law: CandidateLaw) -> OpenSite | None:
     if any(n not in network.sensor_names for n in names):
         return None
     name = f"read_{_plain(c.where)}"
+    elements = {s: free_name(f"{name}_{s}", network.elements) for s in names}
     tables = {
-        f"{name}_{s}": {"kind": "law_reading", "sensor": s, "driver": f"open_{name}", "form": "linear"} for s in names
+        element: {"kind": "law_reading", "sensor": s, "driver": f"open_{name}", "form": "linear"}
+        for s, element in elements.items()
     }
-    changes = {f"{name}_{s}.gain": 1.0 for s in names}
+    changes = {f"{element}.gain": 1.0 for element in elements.values()}
     return OpenSite(
         name,
         "sensor",
@@ -146,13 +150,14 @@ def _flow_site(network: Network, law: CandidateLaw) -> OpenSite | None:
         return None
     factor = network.parameters[key].value
     name = f"flow_{_plain(element)}"
-    tables = {name: {"kind": "law_flow", "flow": element, "driver": f"open_{name}", "form": "linear"}}
+    added = free_name(name, network.elements)
+    tables = {added: {"kind": "law_flow", "flow": element, "driver": f"open_{name}", "form": "linear"}}
     return OpenSite(
         name,
         "flow",
         c.where,
         tables,
-        {f"{name}.gain": 1.0},
+        {f"{added}.gain": 1.0},
         "of the flow",
         0.03,
         -0.8,
@@ -165,7 +170,7 @@ def _flow_site(network: Network, law: CandidateLaw) -> OpenSite | None:
 
 def _loss_site(network: Network, law: CandidateLaw) -> OpenSite | None:
     c = law.candidate
-    room = next((col for col in network.input_columns if col.startswith("T_amb")), "")
+    room = network.room
     if law.heat is None or not room:
         return None
     active = np.flatnonzero(np.abs(law.heat).max(axis=0) > 0.0)
@@ -173,15 +178,16 @@ def _loss_site(network: Network, law: CandidateLaw) -> OpenSite | None:
         return None
     node = network.nodes[int(active[0])]
     name = f"loss_{_plain(node)}"
+    element = free_name(name, network.elements)
     tables = {
-        name: {"kind": "law_conductance", "node": node, "ambient": room, "driver": f"open_{name}", "form": "linear"}
+        element: {"kind": "law_conductance", "node": node, "ambient": room, "driver": f"open_{name}", "form": "linear"}
     }
     return OpenSite(
         name,
         "heat_loss",
         c.where,
         tables,
-        {f"{name}.gain": 1.0},
+        {f"{element}.gain": 1.0},
         "W/K",
         1.0,
         -60.0,
@@ -206,15 +212,17 @@ def _solids(network: Network, sites: Sequence[OpenSite]) -> Iterator[OpenSite]:
         reading[:, [network.sensor_names.index(s) for s in sensors]] = 1.0
         for above in SOLID_K_PER_W:
             name = f"solid_{_plain(site.where)}_{round(1e5 * above)}"
-            heat = f"{name}_heat"
+            heat = free_name(f"{name}_heat", network.elements)
+            of_sensor = {s: free_name(f"{name}_{s}", network.elements) for s in sensors}
             column = f"open_{name}"
             tables: dict[str, dict[str, Any]] = {
                 heat: {"kind": "law_heat", "node": node, "driver": column, "form": "linear"}
             }
             tables |= {
-                f"{name}_{s}": {"kind": "law_reading", "sensor": s, "driver": column, "form": "linear"} for s in sensors
+                element: {"kind": "law_reading", "sensor": s, "driver": column, "form": "linear"}
+                for s, element in of_sensor.items()
             }
-            changes = {f"{heat}.gain": 1.0} | {f"{name}_{s}.gain": above for s in sensors}
+            changes = {f"{heat}.gain": 1.0} | {f"{element}.gain": above for element in of_sensor.values()}
             yield OpenSite(
                 name,
                 "heat_source",
@@ -241,13 +249,14 @@ def _transfers(network: Network, named: Sequence[CandidateLaw]) -> Iterator[Open
         heat = np.zeros((count, len(network.nodes)))
         heat[:, network.nodes.index(a)], heat[:, network.nodes.index(b)] = 1.0, -1.0
         name = f"transfer_{_plain(a)}_{_plain(b)}"
-        tables = {name: {"kind": "law_heat", "node": a, "source": b, "driver": f"open_{name}", "form": "linear"}}
+        element = free_name(name, network.elements)
+        tables = {element: {"kind": "law_heat", "node": a, "source": b, "driver": f"open_{name}", "form": "linear"}}
         yield OpenSite(
             name,
             "heat_transfer",
             a,
             tables,
-            {f"{name}.gain": 1.0},
+            {f"{element}.gain": 1.0},
             "W",
             20.0,
             -2000.0,
