@@ -66,7 +66,7 @@ class Entry:
     def going_on(self, part_s: float, record_s: float) -> Entry:
         """Return an effect of the first `part_s` of a record, s, that still grew at their end, as growing on.
 
-        A fit may end a ramp within rounding of its data's end, and the data do not tell whether it ended there.
+        A fit may end a ramp within rounding of its data's end, and whether it ended there is not identifiable.
         """
         shape = self.shape
         if shape.name != "ramp" or shape.free(part_s):
