@@ -61,3 +61,38 @@ def test_a_lag_and_a_growing_loss_at_one_place_are_both_found(bench: Bench, heal
     by = {e.kind: e for e in found.effects}
     assert by["sensor"].value == pytest.approx(LAG_S, rel=0.1)
     assert by["heat_loss"].value == pytest.approx(LOSS, rel=0.15)
+
+
+def test_a_growing_reading_error_of_a_short_record_is_that_of_its_law(bench: Bench, healthy: Columns) -> None:
+    record = bench.record(6.0)
+    grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
+    part = Part.of(basis(bench.network, healthy, grid), grid)
+    shape = Shape("ramp", 7200.0, 21600.0)
+    drift = entry(part, ("sensor", "T_heater_C", "constant"), shape, 2.0).refreshed(part.score_test)
+    model = Model.of(part.basis.probe, (drift,))
+    with_it, without = (
+        model.run(grid.time, grid.inputs, part.state[None, :].copy(), bench.network.values[None, :], np.array([[size]]))
+        for size in (2.0, 0.0)
+    )
+    seen = part.score_test.seen(with_it - without)[0, :, bench.network.sensor_names.index("T_heater_C")]
+    (law,) = drift.vector[drift.vector.any(axis=1)]
+    a_block = 2.0 * part.score_test.step_s / shape.growth_s
+    assert np.abs(seen - 2.0 * law).max() < 0.3 * a_block
+
+
+def test_a_ramp_that_grew_to_the_end_of_the_fitted_part_grows_on(bench: Bench, healthy: Columns) -> None:
+    record = bench.record(6.0)
+    grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
+    part = Part.of(basis(bench.network, healthy, grid), grid)
+    fitted_s, record_s, onset_s = 19440.0, 21600.0, 7200.0
+    ended = entry(part, ("sensor", "T_heater_C", "constant"), Shape("ramp", onset_s, fitted_s - onset_s), 1.19)
+    on = ended.going_on(fitted_s, record_s)
+
+    def at(one: Entry, time_s: float) -> float:
+        return one.size * one.shape.mean(time_s - 1.0, time_s)
+
+    assert at(on, fitted_s) == pytest.approx(at(ended, fitted_s), rel=1e-3)
+    assert at(on, record_s) == pytest.approx(1.19 * (record_s - onset_s) / (fitted_s - onset_s), rel=1e-3)
+    # What had ended well before is known to have ended.
+    early = entry(part, ("sensor", "T_heater_C", "constant"), Shape("ramp", onset_s, 3600.0), 1.19)
+    assert early.going_on(fitted_s, record_s) == early
