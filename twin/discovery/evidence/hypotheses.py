@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.discovery.effects.laws import CandidateLaw
-from twin.discovery.evidence.priors import CLAIM, DRIVERS, FAULT, KINDS, UNLISTED
+from twin.discovery.evidence.priors import CLAIM, FAULT, KINDS, UNLISTED, law_weight
 from twin.discovery.evidence.scan import logsumexp
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.scoring.search import Entry
@@ -100,7 +100,7 @@ class Prior:
         for weights, laws in zip(self._each, (named, opened), strict=True):
             for law in laws:
                 place = law.candidate.kind, law.candidate.where
-                weights[place] = weights.get(place, 0.0) + DRIVERS.get(law.candidate.driver, 1.0)
+                weights[place] = weights.get(place, 0.0) + law_weight(law.candidate)
         classes = self._each[0].keys() | self._each[1].keys()
         self._total = sum(KINDS.get(kind, 0.5) for kind, _ in classes)
 
@@ -113,7 +113,7 @@ class Prior:
         place, is_open = (candidate.kind, candidate.where), candidate.is_open
         alike, others = self._each[is_open].get(place, 1.0), self._each[not is_open].get(place, 0.0)
         share = (UNLISTED if is_open else 1.0 - UNLISTED) if others else 1.0
-        weight = DRIVERS.get(candidate.driver, 1.0) / alike
+        weight = law_weight(candidate) / alike
         return math.log(share * weight * KINDS.get(place[0], 0.5) / self._total)
 
 

@@ -8,6 +8,7 @@ lacks nothing. Logarithms are natural.
 from __future__ import annotations
 
 from twin.discovery.scoring.search import Entry
+from twin.elements.candidates import Candidate
 
 FAULT = 0.05
 """Probability of a fault in a record, and of each further independent one. A judgement: a factor of 2 in it shifts all
@@ -55,8 +56,21 @@ rated like an actuator."""
 DRIVERS = {"temperature": 0.6, "fan_speed": 0.5, "pump_speed": 0.5, "heater_power": 0.5, "time_of_day": 0.3}
 """Probability that a fault follows a driver, relative to one that is constant or follows a difference of temperatures.
 Judgements."""
+FILLED_IN = 0.2
+"""Probability that water is filled in at a place, relative to heat there. A judgement: a loop is closed but for its
+refills, and heat has many causes."""
+
+
+def is_filled_in(candidate: Candidate) -> bool:
+    """Return True for water that is filled in, which brings its own temperature."""
+    return candidate.unit == "kg/s"
+
+
+def law_weight(candidate: Candidate) -> float:
+    """Return the probability of a law in its class, relative to a constant one."""
+    return DRIVERS.get(candidate.driver, 1.0) * (FILLED_IN if is_filled_in(candidate) else 1.0)
 
 
 def plausibility(entry: Entry) -> float:
     """Return the probability of a kind and driver of effect relative to constant hidden heat, apart from its place."""
-    return KINDS.get(entry.candidate.kind, 0.5) * DRIVERS.get(entry.candidate.driver, 1.0)
+    return KINDS.get(entry.candidate.kind, 0.5) * law_weight(entry.candidate)

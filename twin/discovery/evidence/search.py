@@ -16,7 +16,7 @@ from twin.discovery.effects.shapes import TIMED, Shape
 from twin.discovery.evidence.hypotheses import Class, Found, Hypothesis, Place, Prior, apart, class_of, place
 from twin.discovery.evidence.marginal import form_quadratic, joint, log_widths, widths
 from twin.discovery.evidence.part import Part, continued, fitted, gains, slower
-from twin.discovery.evidence.priors import CLAIM, FAULT, UNLISTED
+from twin.discovery.evidence.priors import CLAIM, FAULT, UNLISTED, is_filled_in
 from twin.discovery.evidence.scan import logsumexp, refined, scan
 from twin.discovery.places.localise import WALK_PER_BLOCK
 from twin.discovery.refit.fitting import AGAIN, Fit
@@ -117,7 +117,7 @@ def leading(entries: list[Entry], prior: Prior) -> list[Entry]:
     found: list[Entry] = []
     for entry in entries:
         # Water that is filled in is another claim than heat at the same place, and neither may crowd out the other.
-        matter = entry.candidate.unit == "kg/s"
+        matter = is_filled_in(entry.candidate)
         of_class, claim = (class_of(entry), matter), (entry.label, matter, entry.shape.name)
         if taken[claim] and entry.shape.name in TIMED:
             continue
