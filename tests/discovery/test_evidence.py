@@ -285,14 +285,3 @@ def test_an_onset_within_a_rest_of_the_heater_is_told_to_be_within_it(bench: Ben
     effect = only(diagnose(bench.network, record, healthy))
     early, late = effect.onset_interval90_s
     assert began - 600.0 < early <= began and began + rest_s <= late < began + rest_s + 600.0
-
-
-def test_short_heat_at_a_steady_load_may_be_the_heater_or_another_source(brisk: Bench, brisk_healthy: Columns) -> None:
-    """The water that may be filled in there does not crowd the heat out of the hypotheses that are fitted."""
-    heated = brisk.with_element("more", {"kind": "heat_source", "node": "heater", "power": 1500.0})
-    found = diagnose(brisk.network, brisk.record(8.0, seed=5, changed=heated, onset_h=4.1, until_h=4.4), brisk_healthy)
-    group = {(e.kind, e.driver) for e in (*found.effects, *found.indistinguishable)}
-    assert ("heat_source", "constant") in group
-    (effect,) = found.effects
-    early, late = effect.onset_interval90_s
-    assert early <= 4.1 * brisk.hour_s <= late and late - early >= 10.0

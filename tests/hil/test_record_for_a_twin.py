@@ -85,5 +85,7 @@ def test_an_input_that_uses_next_to_nothing_of_its_range_is_asked_about(tmp_path
     path = healthy_record(tmp_path, heater_power_W=np.full(3000, 0.7))
     code, printed = hil("commission", path, "--twin", TWIN, "--out", tmp_path / "new.toml")
     assert "heater_power_W is 0.7 to 0.7 in this record, where the twin declares" in printed
+    assert code == 2 and "no twin is written" in printed and "is it in another unit?" in printed
+    code, printed = hil("commission", path, "--twin", TWIN, "--out", tmp_path / "new.toml", "--units-checked")
     assert code == 2 and "no twin is written: the record identifies none of the 13 tunables" in printed
     assert not list(tmp_path.glob("new*"))

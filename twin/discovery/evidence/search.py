@@ -12,11 +12,11 @@ import numpy as np
 
 from twin.discovery.diagnosis import Rung
 from twin.discovery.effects.laws import CandidateLaw
-from twin.discovery.effects.shapes import TIMED, Shape
+from twin.discovery.effects.shapes import TIMED
 from twin.discovery.evidence.hypotheses import Class, Found, Hypothesis, Place, Prior, apart, class_of, place
 from twin.discovery.evidence.marginal import form_quadratic, joint, log_widths, widths
 from twin.discovery.evidence.part import Part, continued, fitted, gains, slower
-from twin.discovery.evidence.priors import CLAIM, FAULT, UNLISTED, is_filled_in
+from twin.discovery.evidence.priors import CLAIM, FAULT, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, refined, scan
 from twin.discovery.places.localise import WALK_PER_BLOCK
 from twin.discovery.refit.fitting import AGAIN, Fit
@@ -37,8 +37,6 @@ FITTED, NEXT, MOST_FITTED = 6, 3, 9
 """Hypotheses that are fitted as real elements at first, then in one batch, and in all: an unfitted leader is fitted
 next."""
 
-EVENTS = ("spell", "pulse")
-"""Courses of a single event with two times."""
 MOST_LATE = 4
 """Classes of lags and delays that are fitted: those with the largest linear gain."""
 SLOWER = (1.7, 1.3, 1.1)
@@ -73,13 +71,10 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None, given: Seq
         say(f"fitting {min(len(level), FITTED)} hypotheses of {count} effect{'s' if count > 1 else ''}")
         found = _fitted(part, found, level, misfit)
         if _explained(found, score_test):
-            found = _at_equal_times(part, found, prior, misfit) if count == 1 else found
             break
         if count == 1:
             found = late_ones(part, found, prior, misfit)
         found = _retimed(part, found, prior, misfit)
-        if count == 1:
-            found = _at_equal_times(part, found, prior, misfit)
         if _explained(found, score_test):
             break
         if count < MOST_EFFECTS:
@@ -116,13 +111,11 @@ def leading(entries: list[Entry], prior: Prior) -> list[Entry]:
     taken: Counter[object] = Counter()
     found: list[Entry] = []
     for entry in entries:
-        # Water that is filled in is another claim than heat at the same place, and neither may crowd out the other.
-        matter = is_filled_in(entry.candidate)
-        of_class, claim = (class_of(entry), matter), (entry.label, matter, entry.shape.name)
+        claim = entry.label, entry.shape.name
         if taken[claim] and entry.shape.name in TIMED:
             continue
-        if taken[of_class] < PER_CLASS and not (found and entry.log_bayes <= 0.0):
-            taken[of_class] += 1
+        if taken[class_of(entry)] < PER_CLASS and not (found and entry.log_bayes <= 0.0):
+            taken[class_of(entry)] += 1
             taken[claim] += 1
             found.append(entry)
         if len(found) == LEADING:
@@ -288,35 +281,6 @@ def _retimed(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -
     for h in [*first.values()][:NEXT]:
         tried += _of_other_times(part, h, prior, misfit)
     return _settled_fits(part, sorted(tried, key=lambda h: -h.odds), misfit) if first else found
-
-
-def _at_equal_times(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:
-    """Return the hypotheses of single effects with those of one passing event fitted from the times of the likeliest.
-
-    A fit may stop at a kink of one of its two times, and what its neighbour gained there is then taken for evidence.
-    """
-    fits = [h for h in found if h.fit is not None and len(h.entries) == 1]
-    if not fits or fits[0].entries[0].shape.name not in EVENTS:
-        return found
-    best, near = fits[0].entries[0].shape, 2.0 * part.score_test.step_s
-    rivals = [
-        (h, replace(h.entries[0], shape=best).refreshed(part.score_test))
-        for h in found
-        if h is not fits[0] and len(h.entries) == 1 and _is_one_event(h.entries[0].shape, best, near)
-    ][:MOST_FITTED]
-    for h, entry in rivals:
-        begun = _set(part, (entry,), prior)
-        ((fit, _),) = fitted(part, [begun.entries])
-        other = replace(_with_fit(part, begun, fit, misfit), settled=True)
-        if h.fit is None or other.odds > h.odds:
-            found = [other if one is h else one for one in found]
-    return sorted(found, key=lambda h: -h.odds)
-
-
-def _is_one_event(one: Shape, other: Shape, near_s: float) -> bool:
-    """Return True for two passing courses whose beginnings and ends are within `near_s`."""
-    ends = abs(one.onset_s + one.growth_s - other.onset_s - other.growth_s)
-    return one.name == other.name and abs(one.onset_s - other.onset_s) < near_s and ends < near_s
 
 
 def _is_retimed(entry: Entry) -> bool:
