@@ -256,7 +256,7 @@ def test_a_run_that_is_over_or_goes_on_is_refused(story):
     assert (over.returncode, "has run to its end" in over.stderr) == (2, True)
     with story.folder.owned():
         live = hil("resume", story.folder.path)
-    assert (live.returncode, "still goes on" in live.stderr) == (2, True)
+    assert (live.returncode, "another process makes the files of this run" in live.stderr) == (2, True)
     with story.folder.owned(), pytest.raises(RunFolderError), story.folder.owned():
         pass
 

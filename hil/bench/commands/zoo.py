@@ -73,5 +73,4 @@ def zoo_command(
             place = {**place, "on": SERIAL if jobs == 1 else LOCAL}
         options = ExecutorOptions(workers=jobs or 1, **place)
         done = trial.measure(trial.TrialSize(families, cases, healthy, seed), jobs, work, options, steps.update)
-    name = "zoo_dev" if families == "dev" else "zoo"
-    finish(name, seed, tables.tables(done, families), (), out, as_json)
+    finish("zoo_dev" if families == "dev" else "zoo", seed, tables.tables(done, families), (), out, as_json)

@@ -5,7 +5,6 @@ That process ends with its worker, also if the worker is killed: it watches its 
 
 from __future__ import annotations
 
-import json
 import os
 import runpy
 import subprocess
@@ -17,6 +16,7 @@ from typing import Any
 
 from hil.errors import FOUND, USAGE
 from hil.executor import Say
+from hil.files import parse_json
 from hil.fleet.fleet_file import FleetError
 from hil.fleet.kinds.job_folder import JobFolder, MadeJob
 
@@ -89,7 +89,7 @@ def _run(folder: JobFolder, words: list[str], say: Say) -> dict[str, Any]:
     printed.unlink()
     if code not in (0, FOUND) or not content.strip():
         raise SubcommandError(f"hil {' '.join(words[:2])} ended with exit code {code}: {' / '.join(last)}")
-    found: dict[str, Any] = json.loads(content)
+    found: dict[str, Any] = parse_json(content)
     (folder.out / f"{words[0]}.json").write_bytes(content)
     return found
 

@@ -88,7 +88,9 @@ def read_datasheet(path: Path) -> dict[str, Any]:
     Raises
     ------
     RecordError
-        The file cannot be read, none of its keys has a value, or a key that is used has another type.
+        The file cannot be read, or none of its keys has a value.
+    TableError
+        Keys that are used have another type.
     """
     remedy = "correct the datasheet"
     found = _object(path, remedy)
