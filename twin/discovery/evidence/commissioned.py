@@ -20,8 +20,8 @@ OTHER_LOAD = 6.25
 leaves more where the rig moves more (24 healthy records of the virtual rig under other loads: up to 4.2)."""
 
 ORDER = 10.0
-"""Ratio of a held-out error to noise, and to the error in health, from which no load makes it that of a healthy rig:
-four times the root of `OTHER_LOAD`."""
+"""Ratio of a held-out error to noise, and to the error in health, from which no load makes it that of a healthy rig. A
+judgement: four times what `OTHER_LOAD` allows a healthy rig under another load, 2.5."""
 
 
 def as_commissioned(network: Network, errors: Mapping[str, SensorError]) -> bool:

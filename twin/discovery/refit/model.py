@@ -24,8 +24,9 @@ step, K."""
 FADED = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 4.0, 5.0, 7.0)
 """Times after which a decaying pulse gets a new constant value, in its time constants, until a thousandth is left."""
 PIECE, READ_PIECE = 1.0, 0.5
-"""Time for which a growing effect is held constant, in blocks of the record, whose means are what a fit compares; an
-error of reading, which nothing smooths, for less."""
+"""Time for which a growing effect is held constant, in blocks of the record, whose means are what a fit compares. The
+staircase of a reading error moves a block's mean by at most a sixteenth of the rise in a block, apart from rounding to
+bins. A volume smooths that of heat, which may be twice as coarse."""
 
 
 @dataclass(frozen=True)
