@@ -90,6 +90,17 @@ def test_same_seed_same_answer_and_a_saved_state_goes_on(loop: Network, name: st
     assert a.calibrate(w).values == c.calibrate(w).values
 
 
+def test_a_swarm_s_state_of_an_older_run_goes_on_with_its_swarm(loop: Network) -> None:
+    first, second = make_calibrator("pso", loop, seed=3), make_calibrator("pso", loop, seed=99)
+    truth = loop.with_values({"fins.UA_100": 75.0})
+    first.calibrate(window(loop, truth, 0))
+    saved = first.state()
+    older = {key: value for key, value in saved.items() if key != "belief"}
+    second.restore(json.loads(json.dumps(older)))
+    assert {**second.state(), "belief": None} == {**saved, "belief": None}
+    assert second.calibrate(window(loop, truth, 1)).covariance is not None
+
+
 @pytest.mark.parametrize("settings", [PAPER, replace(PAPER, run_up=False), TUNED])
 def test_never_worse_than_what_it_had(loop: Network, settings) -> None:  # type: ignore[no-untyped-def]
     truth = loop.with_values({"fins.UA_100": 64.0})

@@ -243,9 +243,12 @@ class ParticleSwarm:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Continue from a saved `state`."""
+        """Continue from a saved `state`; without a belief, as in older runs, it begins with the first one."""
         self._rng.bit_generator.state = state["rng"]
-        self._parameters.mean, self._parameters.covariance = (np.array(a, dtype=np.float64) for a in state["belief"])
+        if "belief" in state:
+            mean, covariance = state["belief"]
+            self._parameters.mean = np.array(mean, dtype=np.float64)
+            self._parameters.covariance = np.array(covariance, dtype=np.float64)
         self._best = np.array(state["best"], dtype=np.float64)
         positions = state["positions"]
         self._positions = None if positions is None else np.array(positions, dtype=np.float64)
