@@ -132,10 +132,11 @@ def test_a_cancelled_fleet_keeps_what_is_done_and_the_same_command_does_the_rest
         assert fleet.wait(PATIENCE_S) == 130, (tmp_path / "fleet.log").read_text()
     said = (tmp_path / "fleet.log").read_text()
     assert "cancelled; the same command does what is left" in said and "Traceback" not in said
-    before = {path.name: path.stat().st_mtime_ns for path in (out / "jobs").iterdir()}
+    # A result that was cut off half written is a hidden part, which the next call removes.
+    before = {path.name: path.stat().st_mtime_ns for path in (out / "jobs").glob("[!.]*")}
     assert 1 <= len(before) < 4 * SEEDS
     assert typed("fleet", file, "--on", "here", "--out", out).returncode == 0
-    after = {path.name: path.stat().st_mtime_ns for path in (out / "jobs").iterdir()}
+    after = {path.name: path.stat().st_mtime_ns for path in (out / "jobs").glob("[!.]*")}
     assert len(after) == 4 * SEEDS and before.items() <= after.items()
 
 
