@@ -29,8 +29,6 @@ guide.
 """
 PIECE = 600
 """Samples linearised at once."""
-SE90 = 1.6449
-"""Standard errors from a mean to either end of a 90 % interval."""
 _STEP = 1.0e-5
 
 

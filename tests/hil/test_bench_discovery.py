@@ -31,6 +31,7 @@ from hil.record.reader import read_record
 from hil.synthetic.hidden_effects import effects_text, lasting, truth
 from hil.synthetic.plant_record import direct_record
 from hil.synthetic.settings import KINDS, profile, profile_text, setting
+from twin import NORMAL90
 
 
 def effect(kind: str = "heat_source", where: str = "tank", driver: str = "constant", **more: Any) -> dict[str, Any]:
@@ -161,10 +162,10 @@ def test_risk_counts_the_surest_first() -> None:
 
 
 def test_wilson_against_published_values() -> None:
-    # Brown, Cai and DasGupta, Stat. Sci. 16 (2001) 101, with kappa 1.6449: symmetric about 1/2, and exact at the ends.
+    # Brown, Cai and DasGupta, Stat. Sci. 16 (2001) 101: symmetric about 1/2, and exact at the ends.
     low, high = wilson(5, 10)
     assert low + high == pytest.approx(1.0)
-    assert wilson(0, 20)[1] == pytest.approx(1.6449**2 / (20 + 1.6449**2))
+    assert wilson(0, 20)[1] == pytest.approx(NORMAL90**2 / (20 + NORMAL90**2))
     assert np.isnan(wilson(0, 0)).all()
 
 

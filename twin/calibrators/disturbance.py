@@ -19,9 +19,9 @@ from twin.calibrators.base import Calibration, Window
 from twin.discovery import disturbance_statement
 from twin.elements import Parameter
 from twin.elements.heat_source import HeatSource
-from twin.gauss_newton import SE90
 from twin.kernel import Kernel, mask_measurements
 from twin.network import Array, Network, TwinFileError
+from twin.quantiles import NORMAL90
 
 LEAST_MISFIT = 4.0
 """Reduced chi-square of the live twin below which no place is sought."""
@@ -137,7 +137,7 @@ class DisturbanceLocaliser:
         # The unexplained remainder has a pattern, and may have biased the power as much as it resembles it.
         share = left[node] / gain.flat[best] + RESPONSE_ERROR**2
         watts = float(power[best])
-        reach = float(SE90 * np.sqrt(1.0 / information[best] + share * watts**2))
+        reach = float(NORMAL90 * np.sqrt(1.0 / information[best] + share * watts**2))
         name = self.network.nodes[int(node)]
         return DisturbanceLocation(name, watts, (watts - reach, watts + reach), edges[int(onset)], explains)
 

@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike
 
 from twin.calibrators.base import rmse
 from twin.calibrators.identifiability import UNIDENTIFIABLE_SHARE, condition_number
-from twin.gauss_newton import SE90, FitData, GaussianPrior, GaussNewtonFit, Scaling, fit_parameters
+from twin.gauss_newton import FitData, GaussianPrior, GaussNewtonFit, Scaling, fit_parameters
 from twin.kernel import Kernel, clean_time, hold_inputs, mask_measurements
 from twin.network import Array, Network, Revision, TwinFileError
+from twin.quantiles import NORMAL90
 from twin.segments import find_segments, simulate_segments
 
 FIRST_SAMPLES = 30
@@ -224,7 +225,7 @@ def commission(
     covariance = np.asarray(np.linalg.inv(best.normal / widened + prior.precision), dtype=np.float64)
     spread = np.sqrt(np.diag(covariance)[: len(ids)])
     identified = spread / scaling.prior_sd() < UNIDENTIFIABLE_SHARE
-    low, high = (scaling.to_values(scaling.to_z(best.values) + s * SE90 * spread) for s in (-1.0, 1.0))
+    low, high = (scaling.to_values(scaling.to_z(best.values) + s * NORMAL90 * spread) for s in (-1.0, 1.0))
     names = network.sensor_names
     errors = [dict(zip(names, rmse(r), strict=True)) for r in (stale[~seen], residual[~seen], residual[seen])]
     notes = _notes(network, ids, (agree, len(fits)), start, best, identified, u[seen], widened)

@@ -8,6 +8,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from twin import NORMAL90
+
 KindAndPlace = tuple[str, str]
 """Kind and place."""
 
@@ -258,7 +260,7 @@ def pooled(answer: Mapping[str, Any]) -> tuple[float, float, float] | None:
     return found[0], found[1], found[2]
 
 
-def wilson(hits: int, of: int, z: float = 1.6449) -> tuple[float, float]:
+def wilson(hits: int, of: int, z: float = NORMAL90) -> tuple[float, float]:
     """Return the 90 % interval of a share. Wilson, J. Am. Stat. Assoc. 22 (1927) 209."""
     if not of:
         return float("nan"), float("nan")

@@ -21,7 +21,7 @@ from twin.calibrators.hiera_unet.context_fit.evidence import estimate, identifia
 from twin.calibrators.hiera_unet.data.series import STEP_S
 from twin.calibrators.hiera_unet.data.windows import CONTEXT, TARGET
 from twin.calibrators.hiera_unet.simulated.campaigns import WindowLabel
-from twin.gauss_newton import SE90
+from twin.quantiles import NORMAL90
 
 TRAINED = Path(__file__).resolve().parents[3] / "profiles" / "trained" / "loop_small.json"
 SAME = 0.03
@@ -136,7 +136,7 @@ def refit(features: Features, given: CaseInputs, found: tuple[ContextFit, ...], 
     readings = np.stack([free_run(features, given, i, e.theta, e.state) for i, e in enumerate(found)])
     noise = float(np.sqrt(np.mean(step_noise(features) ** 2)))
     calibrated = np.array([np.sqrt(e.chi) * noise < features.network.rules.calibrated_K for e in found])
-    half = np.stack([np.where(e.told, SE90 * e.sd, np.nan) for e in found])
+    half = np.stack([np.where(e.told, NORMAL90 * e.sd, np.nan) for e in found])
     return BlindPredictions(readings, np.stack([e.theta for e in found]), calibrated, cpu_s, theta_half=half)
 
 
@@ -204,7 +204,7 @@ def _before(features: Features, nominal: Array, done: dict[int, Calibration], ta
         return theta, unknown, bool(last.calibrated)
     spread = dict(zip(last.values, np.sqrt(np.diag(last.covariance)).tolist(), strict=True))
     told = np.array([spread[i] if i in spread and i not in last.frozen else np.nan for i in deviations.ids])
-    return theta, SE90 * told / deviations.scaling(nominal).slope(values), bool(last.calibrated)
+    return theta, NORMAL90 * told / deviations.scaling(nominal).slope(values), bool(last.calibrated)
 
 
 def _shipped() -> tuple[str, ...]:

@@ -21,8 +21,9 @@ from twin.calibrators import Calibration, Calibrator, make_calibrator
 from twin.calibrators.posterior import STATE_SD, fit_window
 from twin.calibrators.pso import ParticleSwarm
 from twin.calibrators.structural_error import PERSISTENCE_S, error_size, sample_sd, sampling_interval
-from twin.gauss_newton import SE90, Scaling
+from twin.gauss_newton import Scaling
 from twin.kernel import Kernel
+from twin.quantiles import NORMAL90
 
 if TYPE_CHECKING:
     from hil.bench.posterior.nuts import Draws, WindowModel
@@ -141,7 +142,7 @@ def _compare(name: str, case: PosteriorWindow, scaling: Scaling, draws: Draws, s
     assert done.covariance is not None
     values = np.array([done.values[i] for i in scaling.ids])
     free = np.array([i not in done.frozen for i in scaling.ids])
-    half = SE90 * np.sqrt(np.diag(done.covariance)) / scaling.slope(values)
+    half = NORMAL90 * np.sqrt(np.diag(done.covariance)) / scaling.slope(values)
     centre, truth = scaling.to_z(values), scaling.to_z(case.truth)
     low, high = np.quantile(draws.z, QUANTILES, axis=0)
     own = np.where(np.isfinite(truth), np.abs(centre - truth) <= half, np.nan)

@@ -19,7 +19,7 @@ from twin.discovery.evidence.priors import SURE, UNLISTED
 from twin.discovery.records.grid import Grid
 from twin.discovery.scoring.equivalence import instead, remaining
 from twin.discovery.scoring.search import Entry, able_to_begin
-from twin.gauss_newton import SE90
+from twin.quantiles import NORMAL90
 
 Explained = TypeVar("Explained", Effect, Alternative)
 
@@ -115,7 +115,7 @@ def nearest_effects(finding: Finding) -> tuple[Alternative, ...]:
 
 def _effect(entry: Entry, finding: Finding, sure: float, grid: Grid) -> Effect:
     c, start = entry.candidate, float(grid.time[0])
-    spread = SE90 * entry.sd * math.sqrt(max(finding.fit.chi, 1.0)) if finding.fit else 0.0
+    spread = NORMAL90 * entry.sd * math.sqrt(max(finding.fit.chi, 1.0)) if finding.fit else 0.0
     early_s, late_s = _onsets(entry, finding)
     grown = grown_by_end(entry, grid)
     spread *= grown
@@ -148,7 +148,7 @@ def _onsets(entry: Entry, finding: Finding) -> tuple[float, float]:
     only as far as the twin is exact there. Slopes about the fit reach no further than the next edge of a block. Where
     the driver of an effect stands still, they give no information about its onset.
     """
-    onset, spread = entry.shape.onset_s, SE90 * entry.onset_sd_s
+    onset, spread = entry.shape.onset_s, NORMAL90 * entry.onset_sd_s
     if onset <= 0.0:
         return 0.0, spread
     assert finding.fit is not None

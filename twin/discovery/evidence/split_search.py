@@ -31,8 +31,8 @@ from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
 from twin.elements.candidates import Candidate
-from twin.gauss_newton import SE90
 from twin.network import Network
+from twin.quantiles import NORMAL90
 
 STILL_HELD = 0.4
 """Share of the held-out segment that stays held out if that segment shows an effect that the rest does not."""
@@ -305,7 +305,7 @@ def coinciding(entries: Sequence[Entry], span_s: float, step_s: float) -> tuple[
         by_chance = _same_turns_by_chance(one, other, span_s)
         if min(one.shape.onset_s, other.shape.onset_s) > step_s:
             apart_s = abs(one.shape.onset_s - other.shape.onset_s)
-            within_s = max(apart_s, SE90 * math.hypot(one.onset_sd_s, other.onset_sd_s), step_s)
+            within_s = max(apart_s, NORMAL90 * math.hypot(one.onset_sd_s, other.onset_sd_s), step_s)
             by_chance = min(by_chance, 2.0 * within_s / span_s)
         if math.log(UNLISTED / FAULT) - math.log(by_chance) > least:
             return one, other

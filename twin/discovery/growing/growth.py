@@ -26,9 +26,9 @@ from twin.discovery.growing.superset.candidate_superset import CandidateSuperset
 from twin.discovery.records.grid import bridged, on_grid
 from twin.discovery.scoring.equivalence import width
 from twin.discovery.scoring.search import Entry
-from twin.gauss_newton import SE90
 from twin.kernel import clean_time
 from twin.network import Array, Network, TwinFileError
+from twin.quantiles import NORMAL90
 
 MOST_EFFECTS = 4
 MOST_SAMPLES = 4000
@@ -250,7 +250,7 @@ def _ladder(beam: Beam, merit: Merit, best: FittedSet) -> tuple[GrowthRung, ...]
         added = Added(
             *entry.label,
             entry.size,
-            interval(entry.size, SE90 * entry.sd, (c.lower, c.upper)),
+            interval(entry.size, NORMAL90 * entry.sd, (c.lower, c.upper)),
             c.unit,
             c.says,
             now.fit.cost - new.fit.cost,

@@ -12,8 +12,8 @@ from twin.discovery.effects.shapes import Shape
 from twin.discovery.scoring.score_tests import JointEstimate, ScoreTest
 from twin.discovery.scoring.sweep import LAST_SHARE, Courses, Given, LawSquares
 from twin.elements.candidates import Candidate
-from twin.gauss_newton import SE90
 from twin.network import Array
+from twin.quantiles import NORMAL90
 
 WORTH_GROWING = 4.0
 """Gain of a law's best step below which its growing courses are not scored: the two never differ much."""
@@ -158,7 +158,7 @@ def able_to_begin(score_test: ScoreTest, entry: Entry, given: Array) -> tuple[fl
         of_it = np.array([shape.name == entry.shape.name for shape in shapes], dtype=bool)
         onsets = np.array([shape.onset_s for shape in shapes])[of_it]
         gain = _gains(entry.law, score @ courses, growing)[1][of_it]
-    able = onsets[gain > gain.max(initial=0.0) - SE90**2]
+    able = onsets[gain > gain.max(initial=0.0) - NORMAL90**2]
     return (float(able.min()), float(able.max())) if len(able) else (entry.shape.onset_s, entry.shape.onset_s)
 
 

@@ -28,8 +28,8 @@ from twin.discovery.thermometers.members import (
     odd_one,
     restless_one,
 )
-from twin.gauss_newton import SE90
 from twin.network import Array, Network
+from twin.quantiles import NORMAL90
 
 HEATS = ("heat_source", "heat_loss")
 """Kinds that warm or cool one place of several, whose thermometer then deviates without a fault."""
@@ -250,7 +250,7 @@ def _leaves(left: Diagnosis) -> str:
 
 
 def _late(one: Members, odd: Odd, start: float) -> Effect:
-    onset, spread = start + odd.shape.onset_s, SE90 * odd.sd
+    onset, spread = start + odd.shape.onset_s, NORMAL90 * odd.sd
     window_s = LATE_WINDOW_S if odd.shape.onset_s > 0.0 else 0.0
     return Effect(
         kind="sensor",
@@ -273,7 +273,7 @@ def _late(one: Members, odd: Odd, start: float) -> Effect:
 
 def _fault(one: Members, odd: Odd, likely: tuple[FaultHypothesis, ...], start: float) -> Effect:
     """Return the fault of a deviating member: the likeliest hypothesis, a sensor fault if none explains it."""
-    spread, drifts = SE90 * odd.sd, odd.shape.name != "step"
+    spread, drifts = NORMAL90 * odd.sd, odd.shape.name != "step"
     low, high = began_between(one, odd)
     told = likely[0] if likely else FaultHypothesis("sensor", "elapsed_time" if drifts else "constant", False, 1.0)
     off = amount(abs(odd.final), "K", spread)

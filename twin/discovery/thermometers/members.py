@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from twin.discovery.effects.shapes import Shape, family
 from twin.discovery.records.grid import Grid
 from twin.discovery.scoring.equivalence import width
-from twin.gauss_newton import SE90
 from twin.network import Array, Network
+from twin.quantiles import NORMAL90
 
 LEAST_MEMBERS = 3
 LATE_WINDOW_S, RATE_S, LEAST_RATE = 7200.0, 60.0, 1.5e-4
@@ -369,7 +369,7 @@ def began_between(found: Members, odd: Odd) -> tuple[float, float]:
     onsets = np.append(edges[: max(int(0.95 * len(found.residual)), 1)], odd.shape.onset_s)
     gains = np.array([gain(float(t)) for t in onsets])
     weight = _pattern(i, len(found.columns)) / found.sd
-    able = onsets[gains >= gains.max() - CORRELATED * SE90**2 / float(weight @ weight)]
+    able = onsets[gains >= gains.max() - CORRELATED * NORMAL90**2 / float(weight @ weight)]
     block = float(edges[1] - edges[0])
     return max(float(able.min()) - block, 0.0), min(float(able.max()) + block, end_s)
 
@@ -450,4 +450,4 @@ def _lag(found: Members, i: int, since_s: float, z: float) -> Odd:
         since_s = float(time_s[int(np.argmax(gained[::-1].cumsum()[::-1]))])
     spread = LAGS_S[min(k + 1, len(LAGS_S) - 1)] - LAGS_S[max(k - 1, 0)]
     share = 1.0 - left[k] / max(float(np.var(own[after])), 1e-12)
-    return Odd(found.columns[i], LAGS_S[k], 0.5 * spread / SE90, Shape("step", since_s), share, z, LAGS_S[k])
+    return Odd(found.columns[i], LAGS_S[k], 0.5 * spread / NORMAL90, Shape("step", since_s), share, z, LAGS_S[k])

@@ -20,7 +20,7 @@ from twin.calibrators.hiera_unet.model.trees import Trees
 from twin.calibrators.hiera_unet.tower.predict import BLOCK_CYCLES, Predicted, corrections_of, interval
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
 from twin.calibrators.hiera_unet.tower.windows import BLOCK_MIN, CONTEXT, LAST_MIN, TARGET, Fleet
-from twin.gauss_newton import SE90
+from twin.quantiles import NORMAL90
 from twin.tower.air import Array
 from twin.tower.model import DEVIATIONS
 
@@ -108,7 +108,7 @@ class MethodPrediction:
 
 def believed(t: Targets) -> MethodPrediction:
     """Return recursive Gauss-Newton with the learned discrepancy, with its own intervals of the deviations."""
-    return MethodPrediction(t.mean, t.water, SE90 * t.sd)
+    return MethodPrediction(t.mean, t.water, NORMAL90 * t.sd)
 
 
 def commissioned(t: Targets) -> MethodPrediction:
