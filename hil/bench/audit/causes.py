@@ -184,7 +184,8 @@ def _few_steps(a: SubjectAudit) -> Verdict:
     return "the training was too short for the outputs", (
         min(late) < STILL_FALLS,
         f"It saw each window {epochs} times, and over its last third the error of the outputs on unseen windows "
-        f"changed by {_range(100.0 * v for v in late)} % of the start's; confirmed if it fell by {-100.0 * STILL_FALLS:g} %.",
+        f"changed by {_range(100.0 * v for v in late)} % of the start's; confirmed if it fell by "
+        f"{-100.0 * STILL_FALLS:g} %.",
     )
 
 

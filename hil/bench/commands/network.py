@@ -78,5 +78,8 @@ def tower_rows_command(results: Path, no_measure: bool, seed: int, out: Path | N
 
     with ProgressBar("measures", 1.0, quiet=as_json) as steps:
         say = None if no_measure else steps.update
-        tables, skipped = acceptance.assemble(results, data_folder(), seed, say)
+        try:
+            tables, skipped = acceptance.assemble(results, data_folder(), seed, say)
+        except ValueError as error:
+            raise click.ClickException(str(error)) from error
     finish("tower_rows", seed, tables, skipped, out, as_json)
