@@ -14,6 +14,7 @@ BENCHMARKS = {
     "posterior": "Intervals of the calibrators against a posterior by Markov chain Monte Carlo",
     "hiera": "Calibrators on unseen rigs: swarm, least squares, filter, network",
     "ablations": "Ablations of the network, each with the same CPU time of training",
+    "audit": "Known causes of the network's blindness, each measured on simulated plants before any training",
     "discovery": "Blind trial of the diagnosis: hidden effects, sealed answers",
     "again": "A revised twin on later records: no new effect, and a second effect",
     "zoo": "Diagnosis of random plants unlike any twin, with hidden effects of many kinds and sealed answers",
@@ -24,6 +25,7 @@ BENCHMARKS = {
     "wire": "Mutated Modbus replies and CAN frames: no wrong value is accepted as good",
     "files": "Mutated files of every kind: each is read, or refused in a sentence that names it",
     "tower": "Calibrations of a cooling tower's outlet on a record: commissioned, persistence, regression, learned",
+    "tower-rows": "Acceptance rows of the tower paper: its figure, our gate, our figure, reached or not",
     "fleet": "Diagnoses of many records on one worker and on two, and the cost of handing a job out",
     "records": "Public records of other rigs, with the published figures",
 }

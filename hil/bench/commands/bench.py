@@ -15,6 +15,7 @@ from hil.bench.commands.blind import (
     posterior_command,
 )
 from hil.bench.commands.fleet import fleet_command
+from hil.bench.commands.network import audit_command, tower_rows_command
 from hil.bench.commands.rig import bus_command, faults_command, files_command, loop_command, wire_command
 from hil.bench.commands.tower import tower_command
 from hil.bench.commands.twin import fit_command, paper_command, records_command, structure_command, twin_command
@@ -54,11 +55,13 @@ for _bench in (
     posterior_command,
     hiera_command,
     ablations_command,
+    audit_command,
     discovery_command,
     again_command,
     zoo_command,
     structure_command,
     tower_command,
+    tower_rows_command,
     faults_command,
     loop_command,
     bus_command,

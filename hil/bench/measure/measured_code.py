@@ -46,6 +46,18 @@ MEASURED: dict[str, dict[str, tuple[str, ...]]] = {
     "records": {"records": (*_EXPERIMENTS, "hil/record")},
     "hiera": {"hiera": (*_FITS, *_NETWORK, *_VIRTUAL, "hil/tracking")},
     "ablations": {"hiera_ablations": (*_FITS, *_NETWORK, "hil/training")},
+    "audit": {
+        "audit": (
+            *_FITS,
+            "twin/calibrators/hiera_unet",
+            "twin/tower",
+            "twin/historian",
+            "drivers/virtual/tower",
+            "hil/training/generate.py",
+            "hil/training/tower/stations.py",
+            "hil/bench/audit",
+        ),
+    },
     "discovery": {
         "discovery": (*_DISCOVERY, *_VIRTUAL),
         "discovery_records": (*_DISCOVERY, "hil/bench/experiments"),
@@ -86,6 +98,15 @@ MEASURED: dict[str, dict[str, tuple[str, ...]]] = {
         ),
         "tower_stations": (*_TOWER, "drivers/historian", "drivers/virtual/tower", "hil/bench/tower_stations.py"),
         "tower_steps": (*_TOWER, "hil/bench/tower_steps.py"),
+    },
+    "tower-rows": {
+        "tower_rows": (
+            *_TOWER,
+            "twin/calibrators/hiera_unet",
+            "drivers/virtual/tower",
+            "hil/training/tower/stations.py",
+            "hil/bench/acceptance",
+        ),
     },
 }
 """Command of `hil bench` -> result that it writes -> places of its code: files, folders, and `*` within one folder."""

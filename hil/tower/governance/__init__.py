@@ -18,17 +18,21 @@ if TYPE_CHECKING:
         write_about,
     )
     from hil.tower.governance.events_file import read_events
+    from hil.tower.governance.gates import Verdict
     from hil.tower.governance.network_service import NetworkGovernance
-    from hil.tower.governance.records import Indicators, drift_alarms
+    from hil.tower.governance.records import CellLines, Indicators, append_records, drift_alarms
     from hil.tower.governance.report_page import REPORT, report
     from hil.tower.governance.service import CellGovernance, adopt_accepted, govern
 
 __all__ = [
     "REPORT",
     "CellGovernance",
+    "CellLines",
     "Indicators",
     "NetworkGovernance",
+    "Verdict",
     "adopt_accepted",
+    "append_records",
     "continue_chains",
     "drift_alarms",
     "govern",
@@ -51,9 +55,12 @@ __getattr__, __dir__ = lazy_names(
             "write_about",
         ),
         "events_file": ("read_events",),
+        "gates": ("Verdict",),
         "network_service": ("NetworkGovernance",),
         "records": (
+            "CellLines",
             "Indicators",
+            "append_records",
             "drift_alarms",
         ),
         "report_page": (

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from hil.training.tower.generate import DataPlan
     from hil.training.tower.selftest import random_table
     from hil.training.tower.session import TowerProgress, simulate_stations, train_member
+    from hil.training.tower.stations import StationPlan, station_cells, table_of
     from hil.training.tower.unpack import judged_cards
 
 __all__ = [
@@ -23,12 +24,15 @@ __all__ = [
     "ENSEMBLE",
     "GAUSS_NEWTON",
     "DataPlan",
+    "StationPlan",
     "TowerProgress",
     "assemble",
     "judged_cards",
     "random_table",
     "score_members",
     "simulate_stations",
+    "station_cells",
+    "table_of",
     "train_member",
 ]
 
@@ -40,6 +44,7 @@ __getattr__, __dir__ = lazy_names(
         "generate": ("DataPlan",),
         "selftest": ("random_table",),
         "session": ("TowerProgress", "simulate_stations", "train_member"),
+        "stations": ("StationPlan", "station_cells", "table_of"),
         "unpack": ("judged_cards",),
     },
 )
