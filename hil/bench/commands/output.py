@@ -34,6 +34,9 @@ OUT = click.option(
 )
 QUICK = click.option("--quick", is_flag=True, help="Use small sizes, for a trial run or for CI.")
 SEED = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of all random numbers.")
+JOBS = click.option(
+    "--jobs", type=click.IntRange(1, 1024), help="Cases at a time.  [default: 1; on a scheduler: one for each worker]"
+)
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the tables as JSON.")
 
 
