@@ -25,6 +25,7 @@ BENCHMARKS = {
     "files": "Mutated files of every kind: each is read, or refused in a sentence that names it",
     "tower": "Calibrations of a cooling tower's outlet on a record: commissioned, persistence, regression, learned",
     "fleet": "Diagnoses of many records on one worker and on two, and the cost of handing a job out",
+    "sinks": "Streams, alarms and panel beside a run at 10 Hz, twenty viewers, exports of 40 hours",
     "records": "Public records of other rigs, with the published figures",
 }
 """Name -> one line; each is a subcommand of `hil bench`."""

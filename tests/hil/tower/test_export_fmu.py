@@ -15,9 +15,7 @@ fmpy = pytest.importorskip("fmpy")
 ROWS, STEP_S = 360, 60.0
 
 
-@pytest.mark.skipif(
-    not any(shutil.which(name) for name in ("cc", "gcc", "clang")), reason="no C compiler is installed"
-)
+@pytest.mark.skipif(not any(shutil.which(name) for name in ("cc", "gcc", "clang")), reason="no C compiler is installed")
 def test_a_commissioned_cell_is_simulated_as_its_twin_does(plant: Path, tmp_path: Path) -> None:
     network = load(plant / "cell1.toml")
     path = export_twin(plant / "cell1.toml", tmp_path / "cell.fmu").path
