@@ -247,7 +247,7 @@ def _followers_table(segments: dict[str, list[tuple[_Segment, _Segment]]], size:
         )
     met = all(max(float(row[3] or 0.0), float(row[6] or 0.0)) < GOAL_TICK for row in rows)
     notes = (
-        f"A tick has {1e3 * PERIOD_S:g} ms. Medians; {size.rounds} segment{'s' * (size.rounds > 1)} of {size.segment_s:g} s, each with the "
+        f"A tick has {1e3 * PERIOD_S:g} ms. Medians over {size.rounds} x {size.segment_s:g} s, each with the "
         f"segments around it; {len(load_rig(RIG).point)} points, one twin and one calibrator.",
         f"Goal: no follower takes more than {GOAL_TICK:g} % of a tick's time: {'met' if met else 'not met'} here.",
     )

@@ -69,7 +69,7 @@ def test_panels_are_of_grafana_itself_with_a_place_of_their_own(dashboard: dict[
     assert len({panel["id"] for panel in panels}) == len(panels) and all(panel["title"] for panel in panels)
     for panel in panels:
         place = panel["gridPos"]
-        assert 0 <= place["x"] and place["x"] + place["w"] <= COLUMNS and min(place["w"], place["h"]) > 0
+        assert place["x"] >= 0 and place["x"] + place["w"] <= COLUMNS and min(place["w"], place["h"]) > 0
         references = [target["refId"] for target in panel["targets"]]
         assert len(set(references)) == len(references) > 0
         wanted = "time_series" if panel["type"] == "timeseries" else "table"
