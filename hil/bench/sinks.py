@@ -13,7 +13,6 @@ import re
 import resource
 import select
 import shutil
-import signal
 import socket
 import statistics
 import subprocess
@@ -148,7 +147,7 @@ def _started(folder: Path, *words: object) -> Iterator[subprocess.Popen[bytes]]:
     try:
         yield process
     finally:
-        process.send_signal(signal.SIGINT)
+        process.terminate()
         try:
             process.wait(STARTS_WITHIN_S)
         except subprocess.TimeoutExpired:
