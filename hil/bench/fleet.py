@@ -9,7 +9,7 @@ import shutil
 import signal
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +91,9 @@ class _Killer:
             os.kill(workers[0], signal.SIGKILL)
 
 
-def _after_a_kill(out: FleetFolder, took: float, jobs: Sequence[Job], whole: dict[str, dict[str, Any]]) -> ReportTable:
+def _after_a_kill(
+    out: FleetFolder, took: float, jobs: tuple[Job, ...], whole: dict[str, dict[str, Any]]
+) -> ReportTable:
     """Return the table of a fleet whose worker was killed, compared with one that nobody disturbed."""
     found = known_results(out, jobs)
     logs = [(out.path / "logs" / f"{job.id}.log").read_text(encoding="utf-8") for job in jobs]

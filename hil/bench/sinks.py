@@ -36,6 +36,7 @@ RIG = PROFILES / "rigs" / "virtual.toml"
 PERIOD_S = 0.1
 GOAL_TICK, GOAL_EXPORT_S, GOAL_PANEL, VIEWERS = 1.0, 5.0, 10.0, 20
 """Goals: % of a tick's time for a follower, s for an export, % of a core for a panel with this many viewers."""
+LADEN = "Other times depend on what else the machine does; the manifest has its load."
 FORMATS = ("csv", "parquet", "mf4", "hdf5", "tdms")
 HOURS = 40.0
 STARTS_WITHIN_S = 60.0
@@ -244,11 +245,13 @@ def _followers_table(segments: dict[str, list[tuple[_Segment, _Segment]]], size:
                 100.0 * statistics.median(during.follower for during, _ in pairs),
             )
         )
-    met = all(max(float(row[3] or 0.0), float(row[6] or 0.0)) < GOAL_TICK for row in rows)
+    met = all(float(row[3] or 0.0) < GOAL_TICK for row in rows)
     notes = (
         f"A tick has {1e3 * PERIOD_S:g} ms. Medians over {size.rounds} x {size.segment_s:g} s, each with the "
         f"segments around it; {len(load_rig(RIG).point)} points, one twin and one calibrator.",
-        f"Goal: no follower takes more than {GOAL_TICK:g} % of a tick's time: {'met' if met else 'not met'} here.",
+        f"Goal: no follower takes more than {GOAL_TICK:g} % of a tick's time from the run, as processor time: "
+        f"{'met' if met else 'not met'} here.",
+        LADEN,
     )
     columns = (
         "follower",
@@ -371,7 +374,8 @@ def _exports(run: Path, folder: Path) -> tuple[list[tuple[str, float, float, flo
 def _exports_table(rows: Sequence[tuple[str, float, float, float]], size: SinksSize) -> ReportTable:
     notes = [f"{len(load_rig(RIG).point)} signals; the whole command `hil export`, with its start."]
     if size.hours >= HOURS:
-        met = all(row[1] < GOAL_EXPORT_S for row in rows)
-        notes += [f"Goal: {GOAL_EXPORT_S:g} s for {HOURS:g} h: {'met' if met else 'not met'} here."]
+        met = all(row[2] < GOAL_EXPORT_S for row in rows)
+        notes += [f"Goal: {GOAL_EXPORT_S:g} s for {HOURS:g} h, as processor time: {'met' if met else 'not met'} here."]
+    notes += [LADEN]
     columns = ("format", "s", "processor s", "MB")
     return ReportTable("exports", f"Exports of {size.hours:g} h at 1 Hz", columns, tuple(rows), tuple(notes))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import queue
+import runpy
 import subprocess
 import sys
 import threading
@@ -129,6 +130,4 @@ def main() -> None:
     """Run the command of hil in the arguments, until the standard input ends."""
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     sys.argv[0] = "hil"
-    from hil.cli import main as hil
-
-    hil()
+    runpy.run_module("hil", run_name="__main__")
