@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -64,10 +65,15 @@ def finish(
 
 
 def _typed(name: str) -> str:
-    """Return the command as typed, without its output folders."""
+    """Return the command as typed, without its output folders and without what an address with a user holds."""
     if Path(sys.argv[0]).name not in ("hil", "__main__.py"):
         return f"hil bench {name}"
     words = sys.argv[1:]
     places = ("--out", "--work")
     kept = [w for i, w in enumerate(words) if not w.startswith(places) and (i == 0 or words[i - 1] not in places)]
-    return " ".join(["hil", *kept])
+    return " ".join(["hil", *(_without_secret(word) for word in kept)])
+
+
+def _without_secret(word: str) -> str:
+    """Return a word of a command; an address with a user, and perhaps a password, is cut behind its scheme."""
+    return re.sub(r"://\S*@\S*", "://...", word)
