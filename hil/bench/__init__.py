@@ -27,6 +27,7 @@ BENCHMARKS = {
     "tower": "Calibrations of a cooling tower's outlet on a record: commissioned, persistence, regression, learned",
     "tower-rows": "Acceptance rows of the tower paper: its figure, our gate, our figure, reached or not",
     "fleet": "Diagnoses of many records on one worker and on two, and the cost of handing a job out",
+    "sinks": "Streams, alarms and panel beside a run at 10 Hz, twenty viewers, exports of 40 hours",
     "records": "Public records of other rigs, with the published figures",
 }
 """Name -> one line; each is a subcommand of `hil bench`."""

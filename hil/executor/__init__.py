@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from hil.executor.asking import TaskError, ask
     from hil.executor.contract import (
         Answer,
         Executor,
@@ -34,9 +35,11 @@ __all__ = [
     "Hear",
     "Say",
     "Task",
+    "TaskError",
     "TaskFailure",
     "TaskMessage",
     "WorkerLostError",
+    "ask",
     "check_options",
     "opened",
 ]
@@ -44,6 +47,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        "asking": ("TaskError", "ask"),
         "contract": (
             "Answer",
             "Executor",

@@ -43,7 +43,7 @@ class Answer:
     worker, host
         Address of the worker and name of its machine.
     seconds, cpu_s
-        Wall time and processor time of the task, s.
+        Wall time of the task, and processor time of it and of the processes that it started and ended, s.
     """
 
     value: Any
@@ -91,4 +91,4 @@ class Executor(Protocol):
         """
 
     def close(self) -> None:
-        """End the executor and its own workers; tasks in progress are given up."""
+        """End the executor and its own workers. Tasks in progress are given up: their futures raise ExecutorError."""

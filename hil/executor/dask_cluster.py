@@ -184,7 +184,8 @@ class DaskExecutor:
         if self._closed:
             return
         self._closed = True
-        left = [theirs for theirs, _ in self._waiting.values()]
+        waiting = list(self._waiting.values())
+        left = [theirs for theirs, _ in waiting]
         self._waiting.clear()
         with contextlib.suppress(Exception):  # the scheduler may be gone
             if left:
@@ -193,6 +194,9 @@ class DaskExecutor:
             self._client.close()
         if self._cluster is not None:
             self._cluster.close()
+        for _, ours in waiting:
+            with contextlib.suppress(InvalidStateError):
+                ours.set_exception(ExecutorError(f"{self._name} was closed before the task was done"))
 
 
 def _own_cluster(workers: int) -> LocalCluster:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from concurrent.futures import Future
 from typing import Any
 
@@ -16,19 +17,20 @@ class SerialExecutor:
     """Executor whose `submit` returns when the task is done."""
 
     def __init__(self, hear: Hear) -> None:
-        self._hear = hear
+        self._hear, self._one = hear, threading.Lock()
 
     def slots(self) -> int:
         """Return 1."""
         return 1
 
     def submit(self, task: Task, given: Any, label: str) -> Future[Answer]:
-        """Run a task; its future is done."""
+        """Run a task, after those of other threads; its future is done."""
         future: Future[Answer] = Future()
-        self._hear(TaskMessage(label, HERE, "begins", begins=True))
-        future.set_result(
-            perform(task, given, lambda text: self._hear(TaskMessage(label, HERE, text)), HERE, code_identity())
-        )
+        with self._one:
+            self._hear(TaskMessage(label, HERE, "begins", begins=True))
+            future.set_result(
+                perform(task, given, lambda text: self._hear(TaskMessage(label, HERE, text)), HERE, code_identity())
+            )
         return future
 
     def close(self) -> None:

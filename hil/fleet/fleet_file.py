@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, cast
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from drivers.rig_file import line_of, mistake, read_regular, tables_of
 
@@ -75,13 +75,33 @@ class TrackSection(_OverRecords):
 
 class _OverSeeds(_Strict):
     over_records: ClassVar[bool] = False
+    reserved: ClassVar[dict[str, str]] = {
+        "--seed": "seeds of the entry are the seeds",
+        "--out": "the fleet keeps the files of each job",
+        "--json": "the fleet reads the result as JSON",
+    }
+    """Options that `arguments` may not have, with the reason."""
     seeds: _Seeds = (0,)
     arguments: Annotated[tuple[str, ...], Field(strict=False)] = ()
+
+    @field_validator("arguments")
+    @classmethod
+    def _without_reserved(cls, arguments: tuple[str, ...]) -> tuple[str, ...]:
+        for word in arguments:
+            name = word.partition("=")[0]
+            if name in cls.reserved:
+                raise ValueError(f"{name} cannot be given here: {cls.reserved[name]}; take it out")
+        return arguments
 
 
 class TrainSection(_OverSeeds):
     """Training of a member of the network with each seed, as `hil train loop` makes it."""
 
+    reserved: ClassVar[dict[str, str]] = {
+        **_OverSeeds.reserved,
+        "--data": "the key data names the windows",
+        "--minutes": "a job is a whole training, whose length --steps sets",
+    }
     kind: Literal["train"]
     data: str | None = None
 

@@ -35,6 +35,8 @@ STARTS_WITHIN_S = 10.0
 """Longest wait for an answer of the guardian's process, s."""
 MUTE_AFTER_S = 2.0
 """Silence of the guardian, s of this process's running time, after which it counts as gone."""
+ENDS_WITHIN_S = 2
+"""Longest wait for the end of a guardian that is not needed any more, s."""
 _PACKAGE = Path(__file__).resolve().parents[2]
 
 
@@ -288,15 +290,18 @@ class GuardianClient:
             return
         if safe or not watching:
             self._send(b"done")
+            # Its last report may be of an attempt that was under way when this engine made the rig safe.
+            for _ in range(ENDS_WITHIN_S * 100):
+                has_ended = self._process.poll() is not None
+                self._receive()
+                if has_ended:
+                    break
+                await asyncio.sleep(0.01)
+        # A guardian that still tries to make the rig safe goes on: it outlives this process, and its log has the
+        # details.
         with contextlib.suppress(OSError):
             self._socket.close()
         self._socket = None
-        # A guardian that still tries to make the rig safe goes on: it outlives this process, and its log has the
-        # details.
-        for _ in range(200 if safe or not watching else 0):
-            if self._process.poll() is not None:
-                break
-            await asyncio.sleep(0.01)
         if self._process.returncode is None:
             self._process.returncode = 0  # no warning about a process that is meant to go on
 

@@ -45,6 +45,9 @@ GIVE_UP_S = 3600.0
 METER_GIVE_UP_S = 60.0
 """Time, s, after which the guardian ends where only a meter contradicts the safe values that were read back. It counts
 from the end of the time that the rig file gives the meter; nothing more can be written."""
+SETTLE_S = 1.0
+"""Time, s, for which a guardian that has acted checks a rig whose engine has ended in order: an attempt that was under
+way meanwhile says nothing about the end."""
 STANDBY_S = 5.0
 """Interval of reads that keep a connection open, s: devices close those that are idle for some ten seconds."""
 _FAULT_SIGNALS = (signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGILL, signal.SIGABRT, signal.SIGTRAP)
@@ -241,7 +244,7 @@ class GuardianProcess:
         self._exclusive: list[bool] = []
         self._log = GuardianLog(os.devnull)
         self._armed = False
-        self._done = False
+        self._done = self._is_in_order = False
         self._beat_s = now_s()
         self._silent = False
         self._reason = self._reported = ""
@@ -264,11 +267,24 @@ class GuardianProcess:
                 alive_s = woke
             if self._armed and not self._done:
                 self._watch()
+        if self._is_in_order:
+            self._settle()
         for keeper in self._keepers.values():
             keeper.end()
         for keeper in self._keepers.values():
             keeper.join(1.0)
         self._log.write("ended")
+
+    def _settle(self) -> None:
+        """Report the rig that an engine leaves behind, once each wire that is open to the guardian was checked."""
+        self._silent = False  # the engine has just spoken: its connections are its own
+        until = now_s() + SETTLE_S
+        keepers = [keeper for keeper in self._keepers.values() if keeper.may_open.is_set()]
+        while self._reason and now_s() < until and not all(keeper.safe for keeper in keepers):
+            time.sleep(RETRY_S)
+        if self._reason:
+            self._report()
+        self._log.write("done", reason="the engine has ended in order")
 
     def _watch(self) -> None:
         silence_s = now_s() - self._beat_s
@@ -382,8 +398,7 @@ class GuardianProcess:
             self._log.write("probe", problems=[why for why in found if why])
             self._send(json.dumps({"probe": found}, ensure_ascii=True).encode())
         elif line == b"done":
-            self._log.write("done", reason="the engine has ended in order")
-            self._done = True
+            self._done = self._is_in_order = True
         elif line.startswith(b"{"):
             self._plan = json.loads(line)
             # A serial line has one master: it is not touched while the engine may use it.

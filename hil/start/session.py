@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from hil.files import held
 from hil.start.errors import StartError, StopRequest
 from hil.start.questions import Answering
 from hil.start.steps import OUTPUTS, STEPS, Course, Step
@@ -55,10 +56,15 @@ def start(request: StartRequest, say: Callable[[str], None], read: Callable[[str
     Raises
     ------
     StartError
-        The folder holds foreign files, or an answer is for no question.
+        The folder holds foreign files, another process leads a course in it, or an answer is for no question.
     StopRequest
         The course stopped: end of input, a signal, a command that failed. A second call goes on.
     """
+    with held(request.folder.absolute(), StartError):
+        _lead(request, say, read)
+
+
+def _lead(request: StartRequest, say: Callable[[str], None], read: Callable[[str], str]) -> None:
     given = dict(request.given or {})
     if request.source is not None:
         given["source"] = request.source

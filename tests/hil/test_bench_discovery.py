@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import math
 from pathlib import Path
@@ -17,6 +18,7 @@ from drivers.rig_file.reader import load_rig
 from drivers.virtual.plant.effects import load_effects
 from drivers.virtual.plant.thermocouple_module import ThermocoupleModule
 from hil.bench.discovery import repeated as discovery_again
+from hil.bench.discovery import sides
 from hil.bench.discovery import trial as discovery
 from hil.bench.discovery.detectability import course_of, visible
 from hil.bench.discovery.injector import RIG, opened, seal
@@ -269,6 +271,28 @@ def test_two_cases_from_end_to_end(tmp_path: Path) -> None:
     assert len(ledger.read_text(encoding="utf-8").splitlines()) == 6
 
 
+def test_cases_on_two_workers_are_those_of_one(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    answers = {}
+    for jobs in ("1", "2"):
+        work = tmp_path / jobs
+        words = ["bench", "discovery", "--case", "1", "--case", "2", "--hours", "1", "--jobs", jobs, "--json"]
+        done = CliRunner().invoke(group, [*words, "--work", str(work)])
+        assert done.exit_code == 0, done.output
+        (ledger,) = work.rglob("ledger.jsonl")
+        cases = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in ledger.parent.glob("case_?.json")}
+        timed = {"seconds", "cpu_s"}
+        answers[jobs] = {
+            name: ({k: v for k, v in one["outcome"].items() if k not in timed}, one["ablation"])
+            for name, one in cases.items()
+        }
+        lines = [json.loads(line) for line in ledger.read_text(encoding="utf-8").splitlines()]
+        for case in ("case_1", "case_2"):
+            assert [line["event"] for line in lines if line["case"] == case] == ["sealed", "answered", "opened"]
+    assert answers["1"].keys() == {"case_1.json", "case_2.json"}
+    assert answers["1"] == answers["2"]
+
+
 def test_a_crash_counts_as_no_answer() -> None:
     o = judged(discovery.no_answer("LinAlgError: Singular matrix"))
     assert failure(o) == "no answer"
@@ -278,14 +302,12 @@ def test_a_crash_counts_as_no_answer() -> None:
 
 
 def test_a_direct_record_is_like_one_over_the_wire(tmp_path: Path) -> None:
-    size = discovery.TrialSize((5,), (), 0.5, direct=False, ablations=False)
-    trial = discovery.BlindTrial(size, 0, tmp_path)
     case = setting(5, 0, 0.5)
+    asked = {"setting": dataclasses.asdict(case), "draw": 0, "kind": "healthy", "direct": False}
+    made = sides.make_case(asked, lambda text: None)
+    assert hashlib.sha256(made["truth"]).hexdigest() == made["sealed"]
     path = tmp_path / "record.parquet"
-    try:
-        trial._over_the_wire(case, path, {"setting": dataclasses.asdict(case), "draw": 0, "kind": "healthy"})
-    finally:
-        trial.close()
+    path.write_bytes(made["record"])
     wire = read_record(path)
     direct = direct_record(profile(case), load_rig(RIG), seed=case.seed, unit=case.unit)
     assert set(direct.columns) <= set(wire.columns)

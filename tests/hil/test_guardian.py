@@ -25,7 +25,7 @@ from hil.guardian.plan import plan_of
 from hil.rig.notices import unguarded
 from hil.run.outputs import write_safe
 from tests.hil.engine_bench import EngineBench
-from tests.hil.guarded_device import HEATER, Device
+from tests.hil.guarded_device import HEATER, METER, Device
 from tests.hil.simulated_rig import rig_with
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -414,6 +414,30 @@ async def test_the_guardian_acts_when_the_engine_asks(tmp_path):
     assert device.registers[HEATER] == 0
     assert not guardian.may_heat()
     await guardian.done(safe=True)
+    device.close()
+
+
+@pytest.mark.parametrize("answers", [True, False])
+async def test_the_last_report_is_of_the_rig_that_the_engine_leaves(answers, tmp_path):
+    device = Device()
+    (tmp_path / "rig.toml").write_text(device.rig_text())
+    guardian = GuardianClient(load_rig(tmp_path / "rig.toml"), tmp_path / "guardian.log")
+    await guardian.start()
+    guardian.watch()
+    device.registers[HEATER] = 500
+    device.mute = {HEATER, METER}
+    guardian.act()
+    while "no answer" not in (tmp_path / "guardian.log").read_text():
+        guardian.expect(5.0)
+        await asyncio.sleep(0.01)
+    device.registers[HEATER] = 0  # the engine gets through, and ends in order
+    if answers:
+        device.mute.clear()
+    await guardian.done(safe=True)
+    assert guardian.acted is not None and guardian.acted.safe == answers
+    assert ("no answer" in guardian.acted.sentence(run_is_safe=True)) != answers
+    last = "safe" if answers else "not safe"
+    assert [entry["what"] for entry in log(tmp_path)][-3:] == [last, "done", "ended"]
     device.close()
 
 

@@ -171,6 +171,26 @@ def test_a_signal_ends_the_run_and_the_course_after_it(tmp_path):
     assert "healthy" not in done and "trial" in done
 
 
+def test_a_second_course_in_a_folder_is_refused_while_the_first_lasts(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    said = []
+
+    def second(prompt: str) -> str:
+        code, printed = hil("start", "--virtual", "--yes")
+        said.append(printed)
+        assert code == 2 and sorted(path.name for path in tmp_path.iterdir()) == ["start.answers.toml"]
+        raise EOFError
+
+    with pytest.raises(StopRequest):
+        start(StartRequest(tmp_path), lambda line: None, second)
+    (printed,) = said
+    assert printed == (
+        f"hil: {tmp_path}: another process works on this folder; wait until it has ended, or give another folder\n"
+    )
+    with pytest.raises(StopRequest):  # the first has ended: its folder is free
+        start(StartRequest(tmp_path), lambda line: None, lambda prompt: (_ for _ in ()).throw(EOFError))
+
+
 def test_a_wrong_answer_is_refused_with_its_reason_and_asked_again(tmp_path):
     folder = prepared(tmp_path / "course")
     (folder / "notes.pdf").write_text("x", encoding="utf-8")

@@ -7,6 +7,7 @@ import pytest
 
 from drivers.virtual.plant.effects import PlantEffect
 from drivers.virtual.plant.geometry import build_cells
+from hil.executor import ExecutorOptions, opened
 from hil.training import generate as data
 from hil.training import plant_windows
 from hil.training.data import FEWEST, least_windows, looked_at
@@ -87,6 +88,16 @@ def test_a_generated_folder_has_its_splits_and_is_not_made_twice(twenty):
     assert {path: path.stat().st_mtime_ns for path in folder.glob("*.npz")} == stamps
     test = store.windows("test")
     assert len(test) and np.isfinite(test.x).all()
+
+
+def test_workers_simulate_the_same_windows_and_go_on_with_what_is_there(twenty, tmp_path):
+    pytest.importorskip("distributed")
+    assert data.generate(3, 20, tmp_path, None, After(3)) is None
+    with opened(ExecutorOptions(workers=2), lambda message: None) as executor:
+        assert data.generate(3, 20, tmp_path, None, After(1), executor) is None  # it is stopped while they work
+    with opened(ExecutorOptions(workers=2), lambda message: None) as executor:
+        store = data.generate(3, 20, tmp_path, None, None, executor)
+    assert store is not None and store.digest == twenty.digest
 
 
 class After(Stop):

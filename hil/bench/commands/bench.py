@@ -17,6 +17,7 @@ from hil.bench.commands.blind import (
 from hil.bench.commands.fleet import fleet_command
 from hil.bench.commands.network import audit_command, tower_rows_command
 from hil.bench.commands.rig import bus_command, faults_command, files_command, loop_command, wire_command
+from hil.bench.commands.sinks import sinks_command
 from hil.bench.commands.tower import tower_command
 from hil.bench.commands.twin import fit_command, paper_command, records_command, structure_command, twin_command
 from hil.bench.commands.zoo import zoo_command
@@ -68,5 +69,6 @@ for _bench in (
     wire_command,
     files_command,
     fleet_command,
+    sinks_command,
 ):
     command.add_command(_bench)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from hil.bench.commands.output import JSON, OUT, QUICK, SEED, data_folder, finish
-from hil.cli.options import INPUT_FILE
+from hil.bench.commands.output import JOBS, JSON, OUT, QUICK, SEED, data_folder, finish
+from hil.cli.options import INPUT_FILE, on_workers, workers_of
 
 
 @click.command("hiera")
@@ -134,6 +135,8 @@ def ablations_command(data: Path, name: str, minutes: float, seed: int, out: Pat
 )
 @click.option("--no-healthy", is_flag=True, help="Keep the healthy records from the diagnosis.")
 @click.option("--no-ablations", is_flag=True, help="Skip the ablations of the method.")
+@JOBS
+@on_workers
 @click.option(
     "--work",
     type=click.Path(file_okay=False, path_type=Path),
@@ -159,6 +162,8 @@ def discovery_command(
     records: bool,
     no_healthy: bool,
     no_ablations: bool,
+    jobs: int | None,
+    place: dict[str, Any],
     work: Path,
     quick: bool,
     seed: int,
@@ -172,7 +177,8 @@ def discovery_command(
       hil bench discovery --blind --quick
       hil bench discovery --blind --case 17
       hil bench discovery --blind --cases 100 --healthy 300 --out docs/results
-      hil bench discovery --blind --cases 0 --doubles 40
+      hil bench discovery --blind --cases 0 --doubles 40 --jobs 2
+      hil bench discovery --on tcp://10.0.0.5:8786
       hil bench discovery --records
     """
     if records:
@@ -190,7 +196,7 @@ def discovery_command(
     pairs = only_doubles if alone else tuple(range(doubles))
     size = discovery.TrialSize(numbers, further, hours, direct, twin, not no_ablations, pairs, not no_healthy)
     with ProgressBar("diagnosing", 1.0, quiet=as_json) as steps:
-        done = discovery.measure(size, seed, work, steps.update)
+        done = discovery.measure(size, seed, jobs, work, workers_of(jobs, place), steps.update)
     finish("discovery", seed, tables.tables(done, size), discovery.left_out(), out, as_json)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -34,6 +35,9 @@ OUT = click.option(
 )
 QUICK = click.option("--quick", is_flag=True, help="Use small sizes, for a trial run or for CI.")
 SEED = click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of all random numbers.")
+JOBS = click.option(
+    "--jobs", type=click.IntRange(1, 1024), help="Cases at a time.  [default: 1; on a scheduler: one for each worker]"
+)
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the tables as JSON.")
 
 
@@ -61,10 +65,15 @@ def finish(
 
 
 def _typed(name: str) -> str:
-    """Return the command as typed, without its output folders."""
+    """Return the command as typed, without its output folders and without what an address with a user holds."""
     if Path(sys.argv[0]).name not in ("hil", "__main__.py"):
         return f"hil bench {name}"
     words = sys.argv[1:]
     places = ("--out", "--work")
     kept = [w for i, w in enumerate(words) if not w.startswith(places) and (i == 0 or words[i - 1] not in places)]
-    return " ".join(["hil", *kept])
+    return " ".join(["hil", *(_without_secret(word) for word in kept)])
+
+
+def _without_secret(word: str) -> str:
+    """Return a word of a command; an address with a user, and perhaps a password, is cut behind its scheme."""
+    return re.sub(r"://\S*@\S*", "://...", word)

@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from hil.bench.commands.output import JSON, OUT, QUICK, SEED, finish
-from hil.cli.options import on_workers
+from hil.bench.commands.output import JOBS, JSON, OUT, QUICK, SEED, finish
+from hil.cli.options import on_workers, workers_of
 
 QUICK_CASES = (6, 2)
 """Cases with an effect and healthy ones of a trial run: one of each family for development."""
@@ -21,9 +21,7 @@ QUICK_CASES = (6, 2)
 @click.option("--open-sealed", is_flag=True, help="Confirm that the sealed families are opened; the ledger notes it.")
 @click.option("--cases", default=40, show_default=True, help="Number of records with a hidden effect.")
 @click.option("--healthy", default=10, show_default=True, help="Number of records without one.")
-@click.option(
-    "--jobs", type=click.IntRange(1, 1024), help="Cases at a time.  [default: 1; on a scheduler: one for each worker]"
-)
+@JOBS
 @on_workers
 @click.option(
     "--work",
@@ -62,15 +60,12 @@ def zoo_command(
             "the sealed families are kept for one published figure; add --open-sealed to open them for it"
         )
     from hil.bench.zoo import tables, trial
-    from hil.executor import LOCAL, SERIAL, ExecutorOptions
     from hil.run.session import ProgressBar
 
     if quick:
         cases, healthy = QUICK_CASES
     with ProgressBar("diagnosing", 1.0, quiet=as_json) as steps:
-        if place["on"] == LOCAL:
-            jobs = jobs or 1
-            place = {**place, "on": SERIAL if jobs == 1 else LOCAL}
-        options = ExecutorOptions(workers=jobs or 1, **place)
-        done = trial.measure(trial.TrialSize(families, cases, healthy, seed), jobs, work, options, steps.update)
+        done = trial.measure(
+            trial.TrialSize(families, cases, healthy, seed), jobs, work, workers_of(jobs, place), steps.update
+        )
     finish("zoo_dev" if families == "dev" else "zoo", seed, tables.tables(done, families), (), out, as_json)

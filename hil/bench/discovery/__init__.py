@@ -13,23 +13,28 @@ if TYPE_CHECKING:
     from hil.bench.discovery.injector import opened
     from hil.bench.discovery.ledger import Ledger, sha256_of
     from hil.bench.discovery.score import NAMED, pooled, spoken, wilson
+    from hil.bench.discovery.sides import GIVEN, answer_case, sealed_folder, side_process
     from hil.bench.discovery.trial import no_answer, sources
     from hil.bench.discovery.worker import PROJECT, Request, Worker, WorkerError, serve
 
 __all__ = [
+    "GIVEN",
     "NAMED",
     "PROJECT",
     "Ledger",
     "Request",
     "Worker",
     "WorkerError",
+    "answer_case",
     "no_answer",
     "opened",
     "pooled",
     "public_records",
     "repeated",
+    "sealed_folder",
     "serve",
     "sha256_of",
+    "side_process",
     "sources",
     "spoken",
     "tables",
@@ -56,6 +61,12 @@ __getattr__, __dir__ = lazy_names(
             "pooled",
             "spoken",
             "wilson",
+        ),
+        "sides": (
+            "GIVEN",
+            "answer_case",
+            "sealed_folder",
+            "side_process",
         ),
         "trial": (
             "no_answer",

@@ -17,8 +17,9 @@ from pathlib import Path
 
 from hil.bench.discovery.injector import RIG
 from hil.bench.discovery.score import AnswerScore, judge, wilson
+from hil.bench.discovery.sides import commissioned
 from hil.bench.discovery.tables import failure
-from hil.bench.discovery.trial import HOUR, commissioned
+from hil.bench.discovery.trial import HOUR
 from hil.bench.measure import Cell, ReportTable, median
 from hil.synthetic import Setting, Truth, direct_record, effects_text, lasting, profile, setting
 

@@ -10,6 +10,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -24,11 +25,15 @@ class WorkerError(RuntimeError):
 
 
 class Worker:
-    """Client of a module run as `python -m`; starts it at the first request and again after its end."""
+    """Client of a module run as `python -m`; starts it at the first request and again after its end.
+
+    Requests of several threads are answered one after the other.
+    """
 
     def __init__(self, module: str, *arguments: str) -> None:
         self._command = [sys.executable, "-m", module, *arguments]
         self._process: subprocess.Popen[str] | None = None
+        self._lock = threading.Lock()
 
     def __enter__(self) -> Self:
         return self
@@ -38,6 +43,10 @@ class Worker:
 
     def ask(self, **request: Any) -> Request:
         """Return the answer to one request; raise WorkerError."""
+        with self._lock:
+            return self._ask(request)
+
+    def _ask(self, request: Request) -> Request:
         if self._process is None or self._process.poll() is not None:
             self.close()
             one_thread = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}

@@ -65,6 +65,9 @@ MEASURED: dict[str, dict[str, tuple[str, ...]]] = {
     "again": {"discovery_again": (*_DISCOVERY, *_VIRTUAL)},
     "zoo": dict.fromkeys(("zoo_dev", "zoo"), (*_DISCOVERY, "hil/bench/zoo", "hil/executor")),
     "fleet": {"fleet": (*_DISCOVERY, "hil/bench/fleet.py", "hil/executor", "hil/fleet")},
+    "sinks": {
+        "sinks": (*_LOOP, "hil/alarms", "hil/bench/sinks.py", "hil/export", "hil/panel", "hil/run_folder", "hil/stream")
+    },
     "posterior": {
         "posterior": (*_FITS, "drivers/virtual/plant", "hil/bench/posterior", "hil/synthetic", "hil/tracking")
     },

@@ -70,6 +70,16 @@ def resident_MB(pid: int) -> float:
     return next((float(line.split()[1]) / 1024.0 for line in lines if line.startswith("VmRSS")), 0.0)
 
 
+def ran_s(pid: int) -> float:
+    """Return the processor time of its threads that live, s; 0 if the kernel does not report it."""
+    total = 0
+    with contextlib.suppress(OSError):
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            with contextlib.suppress(OSError, IndexError, ValueError):  # the thread has just ended
+                total += int((task / "schedstat").read_text().split()[0])
+    return total * 1e-9
+
+
 def waited_s(pid: int) -> float:
     """Return the time for which the main thread was ready to run and did not, s; 0 if the kernel does not report it."""
     try:

@@ -16,18 +16,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hil.bench.discovery import PROJECT, Ledger, WorkerError, no_answer, opened, sha256_of, sources
+from hil.bench.discovery import GIVEN, PROJECT, Ledger, WorkerError, answer_case, no_answer, opened, sha256_of, sources
 from hil.bench.zoo import sides
 from hil.bench.zoo.effects import EFFECTS, NoSuchPlaceError
 from hil.bench.zoo.plan import Planned, plan
 from hil.bench.zoo.plants import SEALED, START_H
 from hil.bench.zoo.score import ZooScore, judge
-from hil.executor import Executor, ExecutorOptions, Task, WorkerLostError
+from hil.executor import Executor, ExecutorOptions, ask
 from hil.executor import opened as opened_executor
 from hil.files import replacing
-
-ATTEMPTS = 3
-"""Most starts of a side whose worker is lost."""
 
 
 class ZooTrial:
@@ -62,7 +59,8 @@ class ZooTrial:
         truth.write_bytes(made["truth"])
         twin.write_bytes(made["twin"])
         self._write(case.name, "sealed", made["sealed"])
-        found = self._call(sides.answer, {**{role: made[role] for role in sides.GIVEN}, "hour": START_H}, case.name)
+        given = {**{role: made[role] for role in GIVEN}, "hour": START_H}
+        found: dict[str, Any] = ask(self._executor, answer_case, given, case.name)
         if "error" in found:
             path.write_text(json.dumps(no_answer(found["error"])), encoding="utf-8")
         else:
@@ -80,27 +78,12 @@ class ZooTrial:
         for k in range(len(names)):
             effect = None if case.effect is None else names[(first + k) % len(names)]
             asked = {"family": case.family, "seed": case.seed, "effect": effect, "open_sealed": case.sealed}
-            made = self._call(sides.make, {**asked, "name": case.name}, case.name)
+            made: dict[str, Any] = ask(self._executor, sides.make, {**asked, "name": case.name}, case.name)
             if "error" not in made:
                 return made
             if NoSuchPlaceError.__name__ not in made["error"]:
                 raise WorkerError(made["error"])
         raise WorkerError(f"no effect fits {case.family}")
-
-    def _call(self, side: Task, given: dict[str, Any], label: str) -> dict[str, Any]:
-        """Return the answer of a side; one whose worker is lost starts again."""
-        for attempt in range(1, ATTEMPTS + 1):
-            try:
-                found = self._executor.submit(side, given, label).result()
-            except WorkerLostError:
-                if attempt == ATTEMPTS:
-                    raise
-                continue
-            if found.failure is not None:
-                raise WorkerError(found.failure.sentence)
-            value: dict[str, Any] = found.value
-            return value
-        raise AssertionError
 
     def _write(self, case: str, event: str, sha256: str) -> None:
         with self._lock:

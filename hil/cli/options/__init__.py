@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hil.cli.options.record_reading import reading, reading_tables
     from hil.cli.options.subject import record_of, subject_of
     from hil.cli.options.tracking import CALIBRATORS, NETWORK, NETWORK_MODE
-    from hil.cli.options.workers import on_workers
+    from hil.cli.options.workers import on_workers, workers_of
 
 __all__ = [
     "CALIBRATORS",
@@ -40,6 +40,7 @@ __all__ = [
     "reading_tables",
     "record_of",
     "subject_of",
+    "workers_of",
 ]
 
 __getattr__, __dir__ = lazy_names(
@@ -70,6 +71,6 @@ __getattr__, __dir__ = lazy_names(
             "NETWORK",
             "NETWORK_MODE",
         ),
-        "workers": ("on_workers",),
+        "workers": ("on_workers", "workers_of"),
     },
 )

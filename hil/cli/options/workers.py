@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+
+if TYPE_CHECKING:
+    from hil.executor import ExecutorOptions
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -38,3 +41,20 @@ def on_workers(command: Command) -> Command:
         help="Workers of this command, or those of a Dask scheduler, tcp:// or tls://.",
     )
     return on(made)
+
+
+def workers_of(count: int | None, place: dict[str, Any]) -> ExecutorOptions:
+    """Return the workers of a command that works in this process unless it is asked for several.
+
+    Parameters
+    ----------
+    count
+        Workers that the user asked for; None for the default: one here, all of a scheduler.
+    place
+        Argument of `on_workers`.
+    """
+    from hil.executor import LOCAL, SERIAL, ExecutorOptions
+
+    if place["on"] == LOCAL and (count or 1) == 1:
+        place = {**place, "on": SERIAL}
+    return ExecutorOptions(workers=count or 1, **place)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shlex
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.options import on_workers, workers_of
 from hil.cli.tower_commands import tower_command
 
 if TYPE_CHECKING:
@@ -67,6 +69,12 @@ command.add_command(tower_command)
     type=float,
     help="Stop simulating or training after this time; the same command continues.  [default: until it is done]",
 )
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 1024),
+    help="Processes that simulate.  [default: 1; on a scheduler: all of its workers]",
+)
+@on_workers
 @click.option("--device", default="cpu", show_default=True, help="Device: cpu or cuda.")
 @click.option("--threads", default=0, help="Threads of the processor; 0 takes all.")
 @click.option("--half/--single", default=None, help="Use bfloat16 products.  [default: bfloat16 on cuda]")
@@ -90,6 +98,8 @@ def loop_command(
     steps: int,
     batch: int,
     minutes: float | None,
+    workers: int | None,
+    place: dict[str, Any],
     device: str,
     threads: int,
     half: bool | None,
@@ -100,13 +110,16 @@ def loop_command(
     """Train one member for the coolant loop on simulated rigs.
 
     Weights, model card and curves go to OUT. A training that --minutes or Ctrl-C interrupted continues when the same
-    command is given again. No record of a real rig is read.
+    command is given again. No record of a real rig is read. --workers and --on are for the simulation; the training
+    itself is one process.
 
     \b
     Example:
       hil train loop --config small --seed 0 --minutes 9
       hil train loop --config small --seed 0 --minutes 9      (again, until it says that it is done)
+      hil train loop --windows 8000 --on tcp://10.0.0.5:8786
     """
+    from hil.executor import SERIAL, opened
     from hil.run.session import ProgressBar, console, hours, invocation
     from hil.training import (
         Stop,
@@ -136,8 +149,12 @@ def loop_command(
         )
     with Stop(minutes) as stop:
         if not complete(data, data_seed, count):
-            with ProgressBar("simulating", 1.0, quiet=as_json, begun=generation_begun(data, count)) as bar:
-                bar.cut = generate_windows(data_seed, count, data, bar.update, stop) is None
+            options = workers_of(workers, place)
+            with (
+                contextlib.nullcontext() if options.on == SERIAL else opened(options, lambda message: None) as executor,
+                ProgressBar("simulating", 1.0, quiet=as_json, begun=generation_begun(data, count)) as bar,
+            ):
+                bar.cut = generate_windows(data_seed, count, data, bar.update, stop, executor) is None
         if not complete(data, data_seed, count):
             done = TrainingProgress(training_begun(out / stem), steps, 0, 0.0, simulated=generation_begun(data, count))
         else:
