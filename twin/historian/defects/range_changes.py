@@ -103,6 +103,8 @@ EXPLAINS = 0.3
 DECISIVE = 4.0
 """Times by which the mapped readings of one side are nearer to their prediction than the readings as they stand, so
 that the other tags need not rest: a step of the plant is in those tags, and its mapped readings are not nearer."""
+ALIKE = 1e-6
+"""Ridge of those sums of squares, as a share of the rows: far below what a tag tells."""
 STEP_EXPLAINS = 1.5
 """Ratio of the sums of squares without and with a step, from which a leap beside others is judged at all."""
 EDGE = 0.5
@@ -195,7 +197,10 @@ def _borne_out(table: TagPanel, k: int, before: Sequence[_Leap], unusual: Array)
     """Return the leaps of a tag that the other tags bear out, beside those that were found before."""
     found = []
     candidates = _candidates(table, k)
-    ratio = _law_ratio(table, k) if table.series[k].tag.role in FANS and candidates else np.zeros(0)
+    if not candidates:
+        return []
+    rest = SMALLEST_WORK * float(np.nanquantile(np.abs(table.values[k]), 0.95)) if _is_ratio(table.series[k]) else None
+    ratio = _law_ratio(table, k) if table.series[k].tag.role in FANS else np.zeros(0)
     for at in candidates:
         if any(leap.before_s == table.series[k].time_s[at.row] for leap in before):
             continue
@@ -203,7 +208,7 @@ def _borne_out(table: TagPanel, k: int, before: Sequence[_Leap], unusual: Array)
             continue
         back = _return(table, k, at, before)
         alone = not at.hidden and not _others_moved(table, k, float(table.series[k].time_s[at.after]), unusual)
-        leap = _judged(table, k, at, back, alone=alone or back is not None)
+        leap = _judged(table, k, at, back, rest, alone=alone or back is not None)
         if leap is not None:
             found.append(leap)
     return found
@@ -408,7 +413,7 @@ def _witnesses(table: TagPanel, k: int, rows: slice) -> Array:
 
 
 def _judged(
-    table: TagPanel, k: int, at: _Candidate, back: tuple[float, float] | None, *, alone: bool = True
+    table: TagPanel, k: int, at: _Candidate, back: tuple[float, float] | None, rest: float | None, *, alone: bool
 ) -> _Leap | None:
     """Return a leap of a tag with its map, or None if the other tags do not bear it out.
 
@@ -419,16 +424,27 @@ def _judged(
     ----------
     back
         Map of a return, which is tried before any other.
+    rest
+        Reading up to which the tag is at rest, in the record's unit; None for a tag that has no rest.
     alone
         No other tag moved then. Else the evidence must be decisive.
     """
-    found = [one for last_s in AFTER_S if (one := _judged_over(table, k, at, back, last_s, alone=alone)) is not None]
+    found = [
+        one for last_s in AFTER_S if (one := _judged_over(table, k, at, back, rest, last_s, alone=alone)) is not None
+    ]
     least = min((one.doubt for one in found), default=0.0)
     return next((one for one in found if one.doubt <= SURER * least), None)
 
 
 def _judged_over(
-    table: TagPanel, k: int, at: _Candidate, back: tuple[float, float] | None, last_s: float, *, alone: bool
+    table: TagPanel,
+    k: int,
+    at: _Candidate,
+    back: tuple[float, float] | None,
+    rest: float | None,
+    last_s: float,
+    *,
+    alone: bool,
 ) -> _Leap | None:
     """Return a leap with its map by the readings up to `last_s` after it, or None."""
     series, grid = table.series[k], table.grid_s
@@ -436,8 +452,8 @@ def _judged_over(
     low, high = np.searchsorted(grid, (before_s - BEFORE_S, after_s + last_s)).tolist()
     rows = slice(low, high)
     x = table.values[k, rows]
-    if _is_ratio(series):
-        x = np.where(np.abs(x) > SMALLEST_WORK * np.nanquantile(np.abs(table.values[k]), 0.95), x, np.nan)
+    if rest is not None:
+        x = np.where(np.abs(x) > rest, x, np.nan)
     x = np.where((grid[rows] > before_s) & (grid[rows] < after_s), np.nan, x)
     after = grid[rows] >= after_s
     if min((np.isfinite(x) & part).sum() for part in (after, ~after)) < (HIDDEN_ROWS if at.hidden else LEAST_ROWS):
@@ -468,9 +484,15 @@ def _judged_over(
 def _step_explains(x: Array, after: Mask, matrix: Array) -> bool:
     """Return whether a step leaves much less of a tag than the other tags alone do, by least squares."""
     rows = np.isfinite(x)
-    with_step = np.column_stack([matrix[rows], after[rows].astype(np.float64)])
+    columns = np.column_stack([matrix[rows], after[rows].astype(np.float64)])
     y = x[rows] - x[rows].mean()
-    left = [float(((y - a @ np.linalg.lstsq(a, y, rcond=None)[0]) ** 2).sum()) for a in (with_step[:, :-1], with_step)]
+    gram, right = columns.T @ columns, columns.T @ y
+    # Tags that are alike would make the equations singular.
+    gram[np.diag_indices_from(gram)] += ALIKE * len(y)
+    left = []
+    for count in (matrix.shape[1], matrix.shape[1] + 1):
+        found = np.linalg.solve(gram[:count, :count], right[:count])
+        left.append(float(((y - columns[:, :count] @ found) ** 2).sum()))
     return left[0] > STEP_EXPLAINS * left[1]
 
 
