@@ -304,4 +304,5 @@ def _refusal(error: psycopg.Error, url: str) -> str:
         return "refused the password; check user and password, or set PGPASSWORD or ~/.pgpass"
     password = psycopg.conninfo.conninfo_to_dict(url).get("password") if "://" in url else None
     line = _first_line(error)
-    return f"cannot be reached: {line.replace(str(password), '...') if password else line}"
+    said = line.replace(str(password), "...") if password else line
+    return f"cannot be reached: {said}; check host, port and database in the URL, and that the server runs"

@@ -10,9 +10,10 @@ from __future__ import annotations
 import datetime
 import json
 import shutil
+import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ CELLS = 2
 NAMED = 0.9
 """Goals: share of the seeds whose recirculation is named, and of the seeded defects that are found."""
 FOUND = 0.95
+YEAR_D = 365.25
 SLACK_S = 3 * 3600.0
 """Time by which an end of a finding may differ from the seeded one, and the share of the shorter span that both must
 have in common."""
@@ -69,13 +71,16 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class FoundDefects:
-    """Defects of one store: seeded and found by kind, and findings that match none, by kind."""
+    """Defects of one store: seeded and found by kind, and findings that match none, by kind; processor time of its
+    alignment, s, and the days of its cells."""
 
     seed: int
     station: str
     seeded: Mapping[str, int]
     found: Mapping[str, int]
     invented: Mapping[str, int]
+    cpu_s: float = 0.0
+    cell_days: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -155,9 +160,12 @@ def _diagnosed(seed: int, name: str, key: Mapping[str, Any], station: Path) -> N
 
 def _defects(seed: int, name: str, key: Mapping[str, Any], station: Path) -> FoundDefects:
     """Align a station and compare its report with the key."""
+    began = time.process_time()
     _align(station)
-    findings = json.loads((station / "record" / "alignment.json").read_text())["defects"]
-    return match_defects(seed, name, key["defects"], findings)
+    cost = time.process_time() - began
+    report = json.loads((station / "record" / "alignment.json").read_text())
+    days = len(report["cells"]) * report["minutes"] / 1440.0
+    return replace(match_defects(seed, name, key["defects"], report["defects"]), cpu_s=cost, cell_days=days)
 
 
 def match_defects(
@@ -241,7 +249,18 @@ def tables_of(trials: StationTrials) -> list[ReportTable]:
             (f"found: type, a tag and {IN_COMMON:g} of the shorter span agree",),
         ),
         ReportTable("goals", "Goals", ("goal", "found", "reached"), tuple(goals)),
+        ReportTable(
+            "cost",
+            "Cost of the alignment",
+            ("stores", "number", "cell days", "CPU s", "CPU s a cell and year"),
+            (_cost_row("with defects", trials.defects), _cost_row("clean", trials.clean)),
+        ),
     ]
+
+
+def _cost_row(name: str, stores: Sequence[FoundDefects]) -> tuple[Cell, ...]:
+    days, cost = sum(one.cell_days for one in stores), sum(one.cpu_s for one in stores)
+    return name, len(stores), days, cost, cost / days * YEAR_D if days > 0.0 else None
 
 
 def _rate(found: int, seeded: int) -> float | None:

@@ -206,11 +206,18 @@ def order_and_silence(
             f"{places.get(first.tag.name, 'the dictionary')}: the times of {first.tag.name} go back {len(back)} times "
             f"in the store, first in row {back[0] + 2} of its samples{others}; they were sorted: {remedy}"
         )
+    silent: dict[tuple[str, str], list[str]] = {}
     for one in series:
-        place = places.get(one.tag.name, "the dictionary")
         times = np.sort(one.time_s)
         for k in np.flatnonzero(np.diff(times) > SILENT_DAYS * DAY_S):
-            remarks.append(f"{place}: {one.tag.name} has no sample from {day(times[k])} to {day(times[k + 1])}")
+            silent.setdefault((day(times[k]), day(times[k + 1])), []).append(one.tag.name)
+    for (last, first_again), names in silent.items():
+        place = places.get(names[0], "the dictionary")
+        others = f", as have {len(names) - 1} further tags" if len(names) > 1 else ""
+        remarks.append(
+            f"{place}: {names[0]} has no sample from {last} to {first_again}{others}; ask the archive for these days, "
+            f"or take it that nothing is known of them"
+        )
     return remarks
 
 

@@ -7,15 +7,15 @@
     outlet      T_out += size g                                            heat of the channel, or of its thermometer
     inlet, wet_bulb, water                                                 errors of these readings, K, K, logarithm
 
-The exhaust is saturated at T_wb + EXHAUST (T_in - T_wb), by the wet bulb of the air that enters the fill, and h is the
-enthalpy of saturated air at the wet bulb, which mixing conserves. The cell's own recirculation (`model`) is a fifth as
-large, and linear: its prior is wider than the difference. The rest is the same physics as the cell's own, so a refit
-with an effect stays a fit of Merkel's method.
+h is the enthalpy of saturated air at the wet bulb, which mixing conserves. That of the exhaust is the cell's own: the
+air that enters the fill takes up the heat of its water. The cell's recirculation as a constant of a record (`model`) is
+a fifth as large, and linear: its prior is wider than the difference. The rest is the same physics as the cell's own, so
+a refit with an effect stays a fit of Merkel's method.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -44,6 +44,9 @@ WIND_M_S = 5.0
 """Wind speed at which a size is given, m/s."""
 NEAR_K = 0.01
 """Difference by which a slope is taken, K."""
+NEWTON = 3
+"""Steps of Newton's method on a wet bulb: the last one moves less than 0.01 K for a share of 0.3 between 0 and 30
+degC."""
 MOST_SHARE = 0.6
 """Bound of a share that an effect may reach in any minute."""
 HOUR_S, DAY_S, YEAR_S = 3600.0, 86400.0, 365.25 * 86400.0
@@ -152,22 +155,22 @@ def patterns(effects: Sequence[CellEffect], time_s: Array, columns: Mapping[str,
     return np.stack(found, axis=1) if found else np.zeros((len(time_s), 0))
 
 
-def before_fill(effects: Sequence[CellEffect], o: Operation, slow: Array, rise: float) -> tuple[Operation, Array]:
+def before_fill(
+    effects: Sequence[CellEffect], o: Operation, slow: Array, rise: Callable[[Operation, Array], Array]
+) -> tuple[Operation, Array]:
     """Return operating points and slow deviations (n, 5) as the effects change them.
 
     Parameters
     ----------
     rise
-        Of the exhaust over the wet bulb, as a share of the way to the hot water.
+        Function of both: the air's rise of enthalpy in the cell, as a share of the way to that of saturated air at the
+        hot water (n,).
     """
     for k, one in enumerate(effects):
         x, u = one.size * o.patterns[:, k], o.inputs
         if one.path == "exhaust":
             share = np.clip(x, -MOST_SHARE, MOST_SHARE)
-            wet = u.wet
-            # The exhaust is that of the air that entered, which had exhaust in it. Each pass leaves a twentieth.
-            for _ in range(2):
-                wet = mixed_wet_bulb(u.wet, wet + rise * np.maximum(u.t_in - wet, 0.0), share, u.pressure)
+            wet = wet_bulb_with_exhaust(u.wet, u.t_in, share, rise(o, slow), u.pressure)
             u = replace(u, wet=wet, dry=np.maximum(u.dry, wet))
         elif one.path == "inlet":
             u = replace(u, t_in=u.t_in + x)
@@ -183,28 +186,32 @@ def before_fill(effects: Sequence[CellEffect], o: Operation, slow: Array, rise: 
     return o, slow
 
 
-def mixed_wet_bulb(wet: Array, exhaust: Array, share: Array, pressure: Array) -> Array:
-    """Return the wet bulb of air with a share of saturated exhaust, degC (n,).
+def wet_bulb_with_exhaust(wet: Array, hot: Array, share: Array, rise: Array, pressure: Array) -> Array:
+    """Return the wet bulb of air that enters a cell with a share of the cell's exhaust, degC (n,).
 
-    The mixture has the mean enthalpy (adiabatic mixing, ASHRAE Handbook of Fundamentals, chapter 1). The enthalpy of
-    saturated air is convex in its temperature, so that the wet bulb lies above the mean of the two.
+    The mixture has the mean enthalpy (adiabatic mixing, ASHRAE Handbook of Fundamentals, chapter 1), and the exhaust is
+    that of the air that entered, which had exhaust in it: with ambient air h, saturated air at the hot water h_w, share
+    s and rise r, the entering air has ((1 - s) h + s r h_w) / (1 - s (1 - r)).
 
     Parameters
     ----------
-    wet, exhaust
-        Wet bulb of the ambient air and of the exhaust, degC (n,).
+    wet, hot
+        Wet bulb of the ambient air and temperature of the hot water, degC (n,).
     share
         Of the exhaust, 1 (n,).
+    rise
+        Of the air's enthalpy in the cell, as a share of the way to that at the hot water, 1 (n,).
     pressure
         Of the air, kPa (n,).
     """
-    ambient = saturated_enthalpy(wet, pressure)
-    wanted = ambient + share * (saturated_enthalpy(exhaust, pressure) - ambient)
-    mixed = wet + share * (exhaust - wet)
-    # One step of Newton's method leaves less than 0.01 K of a share of 0.3 between 10 and 30 degC.
-    found = saturated_enthalpy(mixed, pressure)
-    slope = (saturated_enthalpy(mixed + NEAR_K, pressure) - found) / NEAR_K
-    return np.asarray(mixed - (found - wanted) / slope)
+    ambient, most = saturated_enthalpy(wet, pressure), saturated_enthalpy(hot, pressure)
+    wanted = ((1.0 - share) * ambient + share * rise * most) / (1.0 - share * (1.0 - rise))
+    mixed = wet
+    for _ in range(NEWTON):
+        found = saturated_enthalpy(mixed, pressure)
+        slope = (saturated_enthalpy(mixed + NEAR_K, pressure) - found) / NEAR_K
+        mixed = mixed - (found - wanted) / slope
+    return np.asarray(mixed)
 
 
 def after_fill(effects: Sequence[CellEffect], o: Operation, t_in: Array, t_out: Array) -> Array:

@@ -16,7 +16,7 @@ The smooth functions vanish at design, where the clean cell was measured, so the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -41,6 +41,9 @@ WEAKEST_FAN = 0.3
 EXHAUST = 0.7
 """Rise of the air's temperature as a share of the way from its wet bulb to the hot water; an effectiveness of 0.6 to
 0.8."""
+
+LEAST_WAY = 1.0e3
+"""Least difference of enthalpy that a rise is a share of, J/kg: a third of a kelvin."""
 
 
 @dataclass(frozen=True)
@@ -163,8 +166,18 @@ class CellModel:
 
     def outlet(self, o: Operation, slow: Array, g: Array) -> Array:
         """Return the temperature of the water in the flume, degC, without the thermometer's bias (n,)."""
-        o, slow = before_fill(self.effects, o, slow, EXHAUST)
-        q, u, d, site = dict(zip(NAMES, g, strict=False)), o.inputs, self.design, self.site
+        q = dict(zip(NAMES, g, strict=False))
+        o, slow = before_fill(self.effects, o, slow, lambda at, by: self._air_rise(at, by, q))
+        points, deviations = self._at_fill(o, slow, q)
+        out = solve_cell(points, self.design, deviations, with_evaporation=False).t_out
+        out = out + self._discrepancy(o, q, points.t_in - out)
+        if len(g) > len(NAMES):
+            out = out + self.features(o) @ g[len(NAMES) :]
+        return after_fill(self.effects, o, points.t_in, out + o.bypass * (points.t_in - out))
+
+    def _at_fill(self, o: Operation, slow: Array, q: Mapping[str, float]) -> tuple[Inputs, CellDeviations]:
+        """Return the inputs of the fill and its deviations, by the constants `q`."""
+        u, d, site = o.inputs, self.design, self.site
         t_in = u.t_in + q["inlet_bias"]
         wet = u.wet + q["wet_bulb_bias"]
         m_w = u.m_w / np.exp(slow[:, 4])
@@ -190,11 +203,20 @@ class CellModel:
         )
         fill = (1.0 + q["fill_share"] * slow[:, 0]) * np.exp(law)
         points = Inputs(t_in, m_w, speed, dry, inside, u.pressure)
-        out = solve_cell(points, d, CellDeviations(fill, 1.0 + slow[:, 1], uniformity), with_evaporation=False).t_out
-        out = out + self._discrepancy(o, q, t_in - out)
-        if len(g) > len(NAMES):
-            out = out + self.features(o) @ g[len(NAMES) :]
-        return after_fill(self.effects, o, t_in, out + o.bypass * (t_in - out))
+        return points, CellDeviations(fill, 1.0 + slow[:, 1], uniformity)
+
+    def _air_rise(self, o: Operation, slow: Array, q: Mapping[str, float]) -> Array:
+        """Return the rise of the air's enthalpy as a share of the way to saturated air at the hot water (n,).
+
+        It hardly depends on the air that enters, so that of the ambient air serves.
+        """
+        points, deviations = self._at_fill(o, slow, q)
+        found = solve_cell(points, self.design, deviations, with_evaporation=False)
+        way = moist.saturated_enthalpy(points.t_in, points.pressure) - moist.saturated_enthalpy(
+            points.wet, points.pressure
+        )
+        rise = found.heat / (found.m_a * np.maximum(way, LEAST_WAY))
+        return np.asarray(np.clip(rise, 0.0, 1.0))
 
     def features(self, o: Operation) -> Array:
         """Return the features of the discrepancy at operating points (n, features)."""
@@ -225,7 +247,7 @@ class CellModel:
         lifted = max(draft, 0.0) * np.sqrt(np.maximum(1.0 - inside / outside, 0.0) / 0.05)
         return np.asarray(np.cbrt(np.maximum(speed, 0.0) ** 3 + lifted**3))
 
-    def _discrepancy(self, o: Operation, q: dict[str, float], fall: Array) -> Array:
+    def _discrepancy(self, o: Operation, q: Mapping[str, float], fall: Array) -> Array:
         """Return the twin's own error at the operating points, K; none at design."""
         site, u = self.site, o.inputs
         cold = (site.wet - u.wet) / 15.0

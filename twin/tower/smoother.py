@@ -1,7 +1,8 @@
 """Maximum a posteriori estimate of slow deviations over a whole record: Gauss-Newton on a grid of time.
 
 The deviations are constant within a cell of the grid and walk at random from one to the next, a fill about a rate that
-is unknown and lasts; a documented event opens a jump at its date.
+is unknown and lasts; a documented event opens a jump at its date. Where nothing was read for days, a jump that nobody
+announced cannot be told, so the walk takes its variance there.
 The prior of a deviation is that of a part that wears: its mean a third of the bound on the lossy side, its standard
 deviation a third of the bound, so that the bound is two standard deviations below and a gain of a third of it two
 above. A thermometer's bias has mean 0. Residuals of the model are correlated in time, so a block of them counts as less
@@ -20,6 +21,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotri
 
@@ -42,6 +44,12 @@ late, and give the rest to the other deviations."""
 JUMP = {"fill": 0.08, "air": 0.06, "uniformity": 0.05, "bias": 0.4, "flow_meter": 0.0}
 """Standard deviation of a jump that an event opens: a cleaning gives back what was lost, a new thermometer is another
 one."""
+RATE_D = {"fill": 1.0 / 1200.0, "air": 1.0 / 1200.0, "uniformity": 1.0 / 1200.0, "bias": 1.0 / 120.0}
+"""Undeclared changes a day. One thermometer in a plant steps or is exchanged some three times a year; a cell is cleaned
+two or three times, and one entry in eight is missing."""
+UNREAD_S = 5.0 * DAY_S
+"""Days without a reading from which a jump in them cannot be told: the least time between two that a search tells
+apart (`change_detection`)."""
 PASSES = 20
 RESCALED = 5
 """Passes in which scale and autocorrelation time of the residuals are taken anew."""
@@ -94,11 +102,44 @@ def estimate(
     return solver.run(start)
 
 
-def walk_variance(edges_s: Array, name: str, openings: Sequence[Opening]) -> tuple[Array, Array]:
-    """Return variance and mean of a deviation's increments between the cells of a time grid (k - 1,)."""
+def unread_days(edges_s: Array, read: NDArray[np.bool_]) -> Array:
+    """Return the days of each increment of a time grid that lie in spans of `UNREAD_S` without a reading (k - 1,).
+
+    Parameters
+    ----------
+    edges_s
+        (k + 1,) s.
+    read
+        Cells of the grid with a reading (k,).
+    """
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], ~read, [False]]).astype(np.int8)))
+    days = np.zeros(len(read))
+    for first, last in zip(ends[::2], ends[1::2], strict=True):
+        if edges_s[last] - edges_s[first] >= UNREAD_S:
+            days[first:last] = np.diff(edges_s[first : last + 1]) / DAY_S
+    return np.asarray(0.5 * (days[:-1] + days[1:]))
+
+
+def walk_variance(
+    edges_s: Array, name: str, openings: Sequence[Opening], unread_d: Array | float = 0.0
+) -> tuple[Array, Array]:
+    """Return variance and mean of a deviation's increments between the cells of a time grid (k - 1,).
+
+    Parameters
+    ----------
+    edges_s
+        (k + 1,) s.
+    name
+        Of the deviation.
+    openings
+        Times at which it may jump.
+    unread_d
+        Days of each increment of which nothing is known (k - 1,): a compound Poisson process of undeclared jumps adds
+        its variance there.
+    """
     middle = 0.5 * (edges_s[:-1] + edges_s[1:])
     days = np.diff(middle) / DAY_S
-    variance = WALK[name] ** 2 * days + 1e-14
+    variance = WALK[name] ** 2 * days + RATE_D.get(name, 0.0) * JUMP[name] ** 2 * unread_d + 1e-14
     for opening in openings:
         if opening.parameter != name:
             continue
@@ -111,13 +152,15 @@ def walk_variance(edges_s: Array, name: str, openings: Sequence[Opening]) -> tup
     return variance, TREND[name] * days
 
 
-def walk_precision(edges_s: Array, name: str, openings: Sequence[Opening]) -> tuple[Array, Array]:
+def walk_precision(
+    edges_s: Array, name: str, openings: Sequence[Opening], unread_d: Array | float = 0.0
+) -> tuple[Array, Array]:
     """Return the precision (k - 1, k - 1) of a deviation's increments between the cells of a time grid, and their mean.
 
     An unknown rate is marginalised: it adds a variance that is common to all increments (Sherman & Morrison, Ann. Math.
     Stat. 21 (1950) 124).
     """
-    variance, drift = walk_variance(edges_s, name, openings)
+    variance, drift = walk_variance(edges_s, name, openings, unread_d)
     variance = variance + 1e-14
     precision = np.diag(1.0 / variance)
     if name in RATE_SD:
@@ -144,6 +187,8 @@ class _Solver:
         self.edges = edges_s
         self.k, self.s, self.g = len(edges_s) - 1, len(SLOW), len(priors.constant()[0])
         self.cell = np.clip(np.searchsorted(edges_s, blocks.time_s, side="right") - 1, 0, self.k - 1)
+        read = np.bincount(self.cell[np.isfinite(blocks.outlet)], minlength=self.k) > 0
+        self.unread_d = unread_days(edges_s, read)
         self.labels = [label for label in labels if edges_s[0] - 3 * DAY_S <= label.time_s <= edges_s[-1] + 3 * DAY_S]
         self.mean_g, self.sd_g = priors.constant()
         self.multipliers = np.array([self.k * self.s + NAMES.index(name) for name in CONSIDERED])
@@ -153,7 +198,7 @@ class _Solver:
         self.unit = np.concatenate([np.ones(self.k * self.s), 10.0 * self.sd_g])
         o = blocks.operation
         self.features = model.features(o) * (1.0 - o.bypass)[:, None] if self.g > len(NAMES) else None
-        variance, _ = walk_variance(edges_s, "air", openings)
+        variance, _ = walk_variance(edges_s, "air", openings, self.unread_d)
         self.power_errors = PowerErrors(model.features(o), self.cell, variance * GLOBALS[NAMES.index("kappa")].sd ** 2)
         self.sigma = [0.2, 0.03]
         self._sites: dict[int, tuple[float, float]] = {}
@@ -167,7 +212,7 @@ class _Solver:
         precision, linear = np.zeros((n, n)), np.zeros(n)
         for j, name in enumerate(SLOW):
             mean, sd = self.priors.slow(name)
-            inner, drift = walk_precision(self.edges, name, openings)
+            inner, drift = walk_precision(self.edges, name, openings, self.unread_d)
             rows = np.arange(k) * s + j
             precision[rows[0], rows[0]] += 1.0 / sd**2
             linear[rows[0]] += mean / sd**2

@@ -1,4 +1,4 @@
-"""Sentences on a calibration that a user has to read: steps, contradictions of the record, contradictory labels."""
+"""Sentences on a calibration that a user has to read: empty months, steps, contradictions of record and labels."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from hil.tower.calibration.station_fit import CellResult
 from hil.tower.station import iso
+from twin.tower import DAY_S, Array
 from twin.tower.calibration import NORMAL, LabelConflict
 from twin.tower.cell_observations import Label
 from twin.tower.change_detection import Contradiction, Step
@@ -21,11 +22,28 @@ COLUMNS = {
 """Words of the columns that may jump where the record contradicts itself."""
 
 
+EMPTY_D = 30.0
+"""Days without a steady reading of the outlet that a user has to know of, a month; a cell stands by for shorter."""
+
+
 def remarks_of(result: CellResult) -> tuple[str, ...]:
-    """Return a sentence on each contradiction of a cell's record and of its labels."""
+    """Return a sentence on each empty month, and on each contradiction of a cell's record and of its labels."""
     bound = result.priors.bounds["bias"]
+    blocks = result.calibrated.blocks
+    empty = gap_sentences(blocks.time_s[np.isfinite(blocks.outlet)])
     spans = tuple(contradiction_sentence(one, bound) for one in result.contradictions)
-    return spans + tuple(dict.fromkeys(conflict_sentence(one) for one in result.conflicts))
+    return empty + spans + tuple(dict.fromkeys(conflict_sentence(one) for one in result.conflicts))
+
+
+def gap_sentences(read_s: Array) -> tuple[str, ...]:
+    """Return a sentence on each gap of a month or more between the times of readings (n,), s since 1970."""
+    return tuple(
+        f"no steady outlet was read from {iso(read_s[k])[:10]} to {iso(read_s[k + 1])[:10]}, "
+        f"{(read_s[k + 1] - read_s[k]) / DAY_S:.0f} days: what was done to the cell meanwhile is unknown, so its "
+        "intervals there are wide; enter cleanings and exchanged thermometers in the events, or calibrate the parts "
+        "apart"
+        for k in np.flatnonzero(np.diff(read_s) >= EMPTY_D * DAY_S).tolist()
+    )
 
 
 def step_sentence(step: Step) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import zoneinfo
 from dataclasses import dataclass, field
@@ -127,8 +128,11 @@ def _tags(path: Path) -> tuple[dict[str, Tag], list[str], dict[str, str]]:
         with mistakes.noted():
             _refuse_unit(path, line, row, known)
         if not known:
+            near = difflib.get_close_matches(role, (*OF_CELL, *OF_STATION), n=1, cutoff=0.8)
+            hint = f"; is it {near[0]}? then mend it" if near else ""
             remarks.append(
-                f"{path.name}:{line}: {name} has role {role!r}, which no column of the record takes; it is left out"
+                f"{path.name}:{line}: {name} has role {role!r}, which no column of the record takes; it is left "
+                f"out{hint}"
             )
             continue
         with mistakes.noted():

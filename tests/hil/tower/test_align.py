@@ -141,10 +141,11 @@ def test_a_second_tag_of_one_role_and_an_unknown_role_are_named(
 ) -> None:
     folder = written_station(tmp_path / "station", clean)
     with (folder / "tags.csv").open("a") as handle:
-        handle.write("T1OUT2,,degC,1,water_outlet_temperature,60\nVIB,,m/s,1,vibration,60\n")
+        handle.write("T1OUT2,,degC,1,water_outlet_temperature,60\nVIB,,m/s,1,vibration,60\nJIX,,kW,1,fan_powr,60\n")
     assert hil("tower", "align", folder, "--out", tmp_path / "record") == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert "T1OUT2 has role and cell of T1OUT, which is used" in shown and "VIB has role 'vibration'" in shown
+    assert "is it fan_power? then mend it" in shown
 
 
 def test_an_outlet_above_the_inlet_is_marked_and_named(

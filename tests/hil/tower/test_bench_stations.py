@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,12 +44,15 @@ def test_goals_are_printed_whether_they_are_reached_or_not() -> None:
     )
     spoilt = match_defects(0, "A", [defect("stuck", ["A"], 1, 2, 10)], [])
     clean = match_defects(0, "A", [], [defect("stuck", ["A"], 1, 2, 10)])
+    spoilt = replace(spoilt, cpu_s=12.0, cell_days=120.0)
     tables = {one.key: one for one in tables_of(StationTrials(2.0, effects, (spoilt,), (clean,)))}
     assert [row[2:] for row in tables["goals"].rows] == [("no",)] * 3
     assert [row[1] for row in tables["goals"].rows] == [0.5, 0.0, 1]
     assert tables["defects"].rows[-1] == ("all", 1, 0, 0.0, 0, 1)
     assert tables["recirculation"].rows[0][4:7] == (80.0, 0.12, 0.13)
     assert tables["recirculation"].rows[1][-1] == "solar by solar"
+    assert tables["cost"].rows[0] == ("with defects", 1, 120.0, 12.0, pytest.approx(36.5, rel=0.01))
+    assert tables["cost"].rows[1][-1] is None
 
 
 @pytest.mark.slow

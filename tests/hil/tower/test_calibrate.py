@@ -15,6 +15,7 @@ from click.testing import CliRunner
 
 from hil.cli.verbs import group
 from hil.errors import exit_code
+from hil.tower.calibration.remarks import gap_sentences
 from tests.hil.tower.made_plant import SHEET, refused, run, write_record
 from tests.twin.tower.made_cell import made_cell
 
@@ -416,3 +417,9 @@ def test_the_console_shows_the_interval_of_the_table(calibrated: Path, plant: Pa
     half = (0.5 * (high - low))[np.isfinite(low)][-1]
     shown = [float(word) for word in re.findall(r"± ([0-9.]+)", done.output)]
     assert abs(shown[1] - half) < 2e-3
+
+
+def test_a_gap_of_months_is_told_with_its_days_and_a_week_of_standby_is_not() -> None:
+    day = np.concatenate([np.arange(0.0, 20.0, 0.1), np.arange(27.0, 40.0, 0.1), np.arange(185.0, 200.0, 0.1)])
+    (told,) = gap_sentences(86400.0 * (19000.0 + day))
+    assert re.search(r"from 2022-02-16 to 2022-07-12, 145 days", told) and "events" in told

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -88,7 +90,7 @@ def test_readings_in_another_range_are_left_out_and_those_after_its_end_kept() -
 
 @pytest.mark.parametrize("seed", [72, 73, 74])
 def test_a_clean_store_has_no_change_of_range(seed: int) -> None:
-    assert range_changes(clean_store(np.random.default_rng(seed), 25.0, cells=3)) == []
+    assert range_changes(clean_store(np.random.default_rng(seed), 25.0, cells=3)).defects == []
 
 
 def test_a_step_that_a_redundant_tag_shares_is_one_of_the_plant() -> None:
@@ -137,3 +139,47 @@ def test_a_speed_by_a_factor_of_no_unit_is_not_converted_as_a_frequency(factor: 
     plant = instruments(rng, 20.0)
     found = _found(_store(plant, rng, [("SI1", _running(plant, 6.0), 99.0, factor, 0.0)]))
     assert "unit_switch" not in {one.kind for one in found}
+
+
+@pytest.mark.parametrize("factor", [1.5, 1.9])
+def test_a_range_that_was_changed_while_the_fan_stood_is_found_by_the_law_of_the_fan(factor: float) -> None:
+    rng = np.random.default_rng(80)
+    plant = instruments(rng, 24.0)
+    at = _running(plant, 8.0)
+    low, high = round(at * 1440) - 180, round(at * 1440) + 180
+    for k, one in enumerate(plant):
+        if one.tag.name in ("SC1", "SI1", "JI1"):
+            truth = one.truth.copy()
+            truth[low:high] = 0.0
+            plant[k] = replace(one, truth=truth)
+    found = [one for one in _found(_store(plant, rng, [("JI1", at, 99.0, factor, 0.0)])) if one.kind == "range_change"]
+    assert [one.tags for one in found] == [("JI1",)]
+    assert abs(found[0].start_s - START_S - at * DAY_S) < DAY_S
+    assert float(found[0].says.split(" reads ")[1].split()[0]) == pytest.approx(factor, rel=0.06)
+
+
+def test_a_factor_of_a_unit_that_the_search_for_units_missed_is_a_change_of_unit() -> None:
+    rng = np.random.default_rng(81)
+    plant = instruments(rng, 20.0)
+    at = _running(plant, 6.0)
+    found = range_changes(_store(plant, rng, [("F1", at, 99.0, 1.0 / 3.6, 0.0)]))
+    assert found.ranges == () and [one.defect.says for one in found.units] == ["F1 is in L/s instead of m3/h"]
+    assert found.units[0].defect.repair == "converted"
+
+
+def test_a_change_in_the_minutes_of_a_step_of_the_load_starts_where_its_samples_leap() -> None:
+    """The plant moves the other way by a third of the change, within the samples about it."""
+    rng = np.random.default_rng(82)
+    plant = instruments(rng, 24.0)
+    at = _running(plant, 6.0)
+    low, high = round(at * 1440) - 3, round(at * 1440) + 240
+    for k, one in enumerate(plant):
+        if one.tag.name in ("TRET", "T1IN", "T2IN"):
+            truth = one.truth.copy()
+            truth[low:high] -= np.interp(np.arange(low, high), [low, low + 12, high - 60, high], [0.0, 2.0, 2.0, 0.0])
+            plant[k] = replace(one, truth=truth)
+    store = _store(plant, rng, [("TRET", at, at + 5.5, 1.0, 5.5)])
+    found = [one for one in _found(store) if one.kind == "range_change"]
+    assert [one.tags for one in found] == [("TRET",)]
+    assert abs(found[0].start_s - START_S - at * DAY_S) < 3600.0
+    assert abs(found[0].end_s - START_S - (at + 5.5) * DAY_S) < 3600.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from twin.historian.defects.panel import STEP_S, TagPanel
@@ -37,6 +39,11 @@ def _panel(rng: np.random.Generator, days: int, drift_K: float) -> TagPanel:
     return TagPanel(series, grid, values)
 
 
+def _series(panel: TagPanel) -> list[Series]:
+    """Return the samples of the panel's values."""
+    return [replace(one, value=row) for one, row in zip(panel.series, panel.values, strict=True)]
+
+
 def _rough(rng: np.random.Generator, n: int, size: float) -> Array:
     return size * np.convolve(rng.standard_normal(n + 7), np.ones(8) / np.sqrt(8.0), "valid")
 
@@ -50,7 +57,7 @@ def test_a_swap_of_thermometers_that_drift_apart_is_found_with_its_edges() -> No
     panel = _panel(np.random.default_rng(1), 120, 6.0)
     low, high = 50 * DAY, 58 * DAY
     panel.values[:2, low:high] = panel.values[1::-1, low:high].copy()
-    (found,) = swapped(panel, [_entry(panel, low)])
+    (found,) = swapped(_series(panel), [_entry(panel, low)])
     assert found.tags == ("T1", "T2")
     assert abs(found.start_s - panel.grid_s[low]) < 86400.0 and abs(found.end_s - panel.grid_s[high]) < 2 * 86400.0
 
@@ -60,7 +67,7 @@ def test_an_edge_does_not_move_over_days_of_right_values() -> None:
     low, high = 17 * DAY, 25 * DAY
     panel.values[:2, low:high] = panel.values[1::-1, low:high].copy()
     panel.values[0, low - 8 * DAY : low] += 0.3  # a bias that ends where the swap begins
-    (found,) = swapped(panel, [_entry(panel, low)])
+    (found,) = swapped(_series(panel), [_entry(panel, low)])
     assert abs(found.start_s - panel.grid_s[low]) < 6 * 3600.0 and abs(found.end_s - panel.grid_s[high]) < 6 * 3600.0
 
 
@@ -69,4 +76,29 @@ def test_a_single_faulty_thermometer_is_no_swap() -> None:
     low, high = 20 * DAY, 23 * DAY
     difference = panel.values[0] - panel.values[1]
     panel.values[0, low:high] -= 2.0 * difference[low:high]  # the difference reversed by one of the two alone
-    assert swapped(panel) == []
+    assert swapped(_series(panel)) == []
+
+
+def test_of_two_pairs_that_a_swap_reverses_the_swapped_one_is_told() -> None:
+    """Basins follow the outlets, so that exchanged outlets reverse the prediction of the basins, too."""
+    rng = np.random.default_rng(4)
+    panel = _panel(rng, 45, 0.0)
+    basins = panel.values[:2] + 0.05 * rng.standard_normal((2, panel.values.shape[1]))
+    series = [
+        *_series(panel),
+        *(
+            replace(
+                one,
+                tag=Tag(f"B{k + 1}", "degC", "basin_temperature", k + 1, 120.0),
+                value=basins[k],
+            )
+            for k, one in enumerate(panel.series[:2])
+        ),
+    ]
+    low, high = 17 * DAY, 25 * DAY
+    for k in range(2):
+        value = series[k].value.copy()
+        value[low:high] = panel.values[1 - k, low:high]
+        series[k] = replace(series[k], value=value)
+    (found,) = swapped(series, [_entry(panel, low)])
+    assert found.tags == ("T1", "T2")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,7 @@ from twin.tower.clean_cell.commissioning import fit_clean_cell
 from twin.tower.clean_cell.discrepancy import AMPLITUDE_K, prior_sd
 from twin.tower.estimates import DAY_S, Opening, Priors, moved_grid, time_grid
 from twin.tower.model import CALM, NAMES, CellModel, Operation
-from twin.tower.smoother import JUMP, RATE_SD, walk_precision, walk_variance
+from twin.tower.smoother import JUMP, RATE_D, RATE_SD, WALK, unread_days, walk_precision, walk_variance
 from twin.tower.twin_file import BOUNDS
 
 
@@ -31,6 +33,31 @@ def test_an_unknown_rate_adds_a_variance_that_is_common_to_all_increments() -> N
     assert np.count_nonzero(
         walk_precision(edges, "bias", ())[0] - np.diag(1.0 / walk_variance(edges, "bias", ())[0])
     ) <= len(days)
+
+
+def test_days_without_a_reading_have_the_variance_of_jumps_that_nobody_sees() -> None:
+    edges = time_grid(0.0, 60 * DAY_S)
+    read = np.ones(120, dtype=bool)
+    read[20:80] = False  # 30 days
+    read[100:104] = False  # two days: a jump in them is told by the levels about them
+    days = unread_days(edges, read)
+    assert days.sum() == pytest.approx(30.0) and (days[:19] == 0.0).all() and (days[80:] == 0.0).all()
+    variance, _ = walk_variance(edges, "bias", (), days)
+    walked, _ = walk_variance(edges, "bias", ())
+    assert (variance - walked).sum() == pytest.approx(RATE_D["bias"] * 30.0 * JUMP["bias"] ** 2)
+    assert np.sqrt(variance[19:80].sum()) > 3.0 * WALK["bias"] * np.sqrt(30.0)
+
+
+def test_a_thermometer_that_was_exchanged_while_nothing_was_read_is_within_its_interval(model: CellModel) -> None:
+    made = made_cell(24, seed=9, step=(12.0, 0.45), fill=(0.9, 0.89))
+    begin, read = float(made.time_s[0]), minutes(made)
+    day = (made.time_s - begin) / DAY_S
+    outage = replace(read, outlet=np.where((day > 8.0) & (day < 18.0), np.nan, read.outlet))
+    labels = [Label(begin + DAY_S, 1, "bias", 0.3, 0.3, 0.05)]
+    edges = time_grid(begin, float(made.time_s[-1]))
+    p = fit_cell(model, outage, Priors(BOUNDS), labels, [], edges).posterior
+    # The jump is not opened, and still the 95 % interval after the outage holds the new bias.
+    assert abs(p.slow[-1, 3] - 0.75) < 1.96 * p.sd()[-1, 3] < 0.2
 
 
 def test_a_fill_that_scales_fast_is_followed_within_its_interval(model: CellModel) -> None:

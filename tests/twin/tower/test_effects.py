@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,17 +13,17 @@ from tests.twin.tower.test_calibration import SITE, clean
 from twin.elements import tower_effect
 from twin.network import Revision
 from twin.tower import effects as physics
-from twin.tower.air import saturated_enthalpy
+from twin.tower.air import CP_WATER, density, ratio_from_wet_bulb, saturated_enthalpy
 from twin.tower.clean_cell.commissioning import fit_clean_cell
 from twin.tower.diagnosis.adoption import adopted, effects_of
 from twin.tower.diagnosis.candidates import candidates, decoys, noons
 from twin.tower.diagnosis.evidence import gain
 from twin.tower.diagnosis.search import CellCase, search_effects
 from twin.tower.diagnosis.validation import held_out_parts
-from twin.tower.effects import CellEffect, mixed_wet_bulb, pattern, sun_height
+from twin.tower.effects import CellEffect, pattern, sun_height, wet_bulb_with_exhaust
 from twin.tower.estimates import Priors, time_grid
 from twin.tower.minutes import minutes_of
-from twin.tower.model import CellModel
+from twin.tower.model import NAMES, CellModel
 from twin.tower.twin_file import BOUNDS, cell_network
 
 WEST = CellEffect("recirculation", "exhaust", "wind_direction", 270.0, size=0.1, sd=0.01)
@@ -81,14 +83,37 @@ def test_an_effect_of_positive_size_warms_the_outlet(path: str, warmer: bool) ->
     assert np.abs(change[~acting]).max() < 1e-9
 
 
-def test_air_with_exhaust_has_the_mean_enthalpy_and_a_wet_bulb_above_the_mean() -> None:
-    wet, exhaust, share = np.array([5.0, 15.0, 22.0, 28.0]), np.array([16.0, 26.0, 31.0, 36.0]), 0.15 * np.ones(4)
-    mixed = mixed_wet_bulb(wet, exhaust, share, 99.0 * np.ones(4))
-    ambient, back, found = (saturated_enthalpy(t, 99.0) for t in (wet, exhaust, mixed))
-    assert np.allclose(found - ambient, share * (back - ambient), rtol=2e-3)
-    above = (mixed - wet) / (share * (exhaust - wet))
-    assert (above > 1.1).all() and (above < 1.3).all() and (np.diff(above) != 0.0).all()
-    assert np.allclose(mixed_wet_bulb(wet, exhaust, 0.0 * share, 99.0 * np.ones(4)), wet)
+def test_air_with_exhaust_has_the_mean_enthalpy_of_ambient_air_and_of_the_exhaust_that_it_becomes() -> None:
+    wet, hot, share = np.array([0.0, 15.0, 22.0, 28.0]), np.array([24.0, 33.0, 36.0, 40.0]), 0.3 * np.ones(4)
+    rise = np.array([0.8, 0.6, 0.5, 0.4])
+    mixed = wet_bulb_with_exhaust(wet, hot, share, rise, 99.0 * np.ones(4))
+    ambient, most, found = (saturated_enthalpy(t, 99.0) for t in (wet, hot, mixed))
+    exhaust = found + rise * (most - found)
+    assert np.allclose(found, (1.0 - share) * ambient + share * exhaust, rtol=1e-4)
+    assert np.allclose(wet_bulb_with_exhaust(wet, hot, 0.0 * share, rise, 99.0 * np.ones(4)), wet)
+
+
+def test_the_exhaust_that_comes_back_has_taken_up_the_heat_of_the_cells_water() -> None:
+    made = weathered(1.0, 3)
+    one = CellEffect("recirculation", "exhaust", "neighbours_speed", size=0.2)
+    model, o = case(made, (one,)).model, case(made, (one,)).minutes.operation
+    slow, g = np.zeros((len(made.time_s), 5)), Priors(BOUNDS, discrepancy=False).constant()[0]
+    g[[NAMES.index("recirculation"), NAMES.index("draft")]] = 0.0
+    acting = (o.patterns[:, 0] > 0.2) & (o.inputs.t_in > o.inputs.wet + 5.0)
+    out = model.outlet(o, slow, g)[acting]
+    u = o.inputs.take(acting)
+    rho = density(u.dry, ratio_from_wet_bulb(u.dry, u.wet, u.pressure), u.pressure)
+    share, air = 0.2 * o.patterns[acting, 0], model.design.m_a0 * u.speed * rho / model.design.density
+    heat = u.m_w * CP_WATER * (u.t_in - out)
+    ambient = saturated_enthalpy(u.wet, u.pressure)
+    # Entering air by hand, and the outlet of a cell that stands in such air.
+    wanted = ambient + share / (1.0 - share) * heat / air
+    grid = np.linspace(-10.0, 45.0, 5501)
+    wet = np.array([np.interp(h, saturated_enthalpy(grid, p), grid) for h, p in zip(wanted, u.pressure, strict=True)])
+    plain = case(made, ()).model
+    moved = replace(o.take(acting), inputs=replace(u, wet=wet, dry=np.maximum(u.dry, wet)))
+    assert acting.sum() > 50
+    assert np.abs(plain.outlet(moved, slow[acting], g) - out).max() < 0.08
 
 
 def test_an_adopted_effect_is_read_back_from_the_twin_file() -> None:

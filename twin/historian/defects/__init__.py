@@ -10,7 +10,6 @@ import numpy as np
 from twin.historian.defects.clock_changes import local_by_change
 from twin.historian.defects.clocks import Shift, changed_clocks, corrected, repeated_hours, shifted_clocks
 from twin.historian.defects.humidity import latched, wet_bulb_defects
-from twin.historian.defects.panel import panel
 from twin.historian.defects.quality import bad_quality
 from twin.historian.defects.range_changes import range_changes
 from twin.historian.defects.repeats import repeated_stamps
@@ -25,6 +24,8 @@ __all__ = ["Repaired", "find_and_repair"]
 
 SEASON_S = 60.0 * 86400.0
 """Length of the parts of a long record in which stuck values are looked for: weather and operation are alike."""
+
+DRY = frozenset({"dry_bulb_temperature"})
 
 ROUNDS = 3
 """Times that changes are sought anew after some were found."""
@@ -51,9 +52,9 @@ def find_and_repair(
     """Return the series without what their defects spoil, and the defects, all times in UTC.
 
     Clocks come first, so that every later finding is in UTC. Each step sees the series as the steps before it left
-    them: clocks, quality, repeated stamps, silence, units, stuck values, humidity, swaps, ranges. What can be undone is
-    undone (clock, unit, swap); the rest is left out. One cause is one defect: what a step has left out is a hole to
-    the next ones.
+    them: clocks, quality, repeated stamps, silence, units, stuck values, latched humidities, ranges of dry bulbs,
+    wet bulbs, swaps, ranges. What can be undone is undone (clock, unit, swap); the rest is left out. One cause is one
+    defect: what a step has left out is a hole to the next ones.
 
     Parameters
     ----------
@@ -104,17 +105,21 @@ def find_and_repair(
     latches, stuck = latched(series, stuck)
     found += latches + stuck
     series = _without(series, [*latches, *stuck])
+    # A dry bulb of another range contradicts the wet bulb for as long as it reads so.
+    dry = list(range_changes(series, DRY).ranges)
+    found += dry
+    series = _without(series, dry)
     wet = wet_bulb_defects(series, pressure_kPa)
     found += wet
     series = _without(series, wet)
-    series, new = _swaps_and_ranges(series, events)
+    series, new = _swaps_and_ranges(series, events, full_speed)
     found += new
     for _ in range(ROUNDS):
         if not new:
             break
         # A witness that was swapped or in another range hid changes of the tags that it predicts.
         more = unit_switches(series, full_speed)
-        series, new = _swaps_and_ranges([_converted(one, more) for one in series], events)
+        series, new = _swaps_and_ranges([_converted(one, more) for one in series], events, full_speed)
         new = [*(switch.defect for switch in more), *new]
         found += new
     return Repaired(
@@ -124,13 +129,16 @@ def find_and_repair(
     )
 
 
-def _swaps_and_ranges(series: list[Series], events: Sequence[Event]) -> tuple[list[Series], list[Defect]]:
-    """Return the series with swaps undone and without changed ranges, and these defects."""
-    swaps = swapped(panel(series), events)
+def _swaps_and_ranges(
+    series: list[Series], events: Sequence[Event], full_speed: str
+) -> tuple[list[Series], list[Defect]]:
+    """Return the series with swaps and changes of unit undone and without changed ranges, and these defects."""
+    swaps = swapped(series, events)
     for defect in swaps:
         series = undo_swap(series, defect)
-    ranges = range_changes(series)
-    return _without(series, ranges), [*swaps, *ranges]
+    changes = range_changes(series, full_speed=full_speed)
+    series = _without([_converted(one, changes.units) for one in series], changes.ranges)
+    return series, [*swaps, *changes.defects]
 
 
 def _no_local_time(raw: Sequence[Series], zone: str) -> list[str]:

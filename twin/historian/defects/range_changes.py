@@ -9,7 +9,10 @@ Such a jump has no factor of a unit. It is told from a step of the plant by thre
 * the prediction without the leap, in which the other tags may explain it, is worse by a large share of it.
 
 Plants start and stop at any hour. So the first is not needed where the other two are decisive: by one map the readings
-of days go several times better with the tags that moved, too.
+of days go several times better with the tags that moved, too. Nor is it where no sample shows the leap, since the tag
+was at rest or silent: the last reading at work before and the first one after are then its sides.
+
+A leap by the factor between two units is a change of unit, whatever hid it from the search for these.
 
 Sizes that the plant's own faults have are no change of range: the bias of a thermometer, the pitch of a fan's blades.
 """
@@ -20,10 +23,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin.historian.checks import FAN_APART, THERMOMETER_K
 from twin.historian.defects.panel import TagPanel, design_matrix, on_grid, panel, robust_prediction
+from twin.historian.defects.unit_switch import Switch, other_units
 from twin.historian.tags import Array, Defect, Mask, Series, longest_interval_s
 from twin.historian.units import unit_of
 
@@ -81,11 +84,15 @@ USUAL = 0.9, 1.645
 AFTER_S = 5.0 * 86400.0, 43200.0
 """Times after a leap over which it must last; the second is for a range that is soon corrected."""
 BEFORE_S = 5.0 * 86400.0
+SURER = 2.0
+"""Ratio of the doubts of two maps from which the shorter time's is taken."""
 LAW_S, LAW_APART = 43200.0, 0.3
 """Time on either side of a leap over which the law of a fan gives its factor: short, since other leaps may be near; and
 by how much it may differ from that of the other tags, in logarithms."""
 LEAST_ROWS = 16
 """Rows of a quarter of an hour on either side by which a leap is judged: four hours of operation."""
+HIDDEN_ROWS = 96
+"""The same of a leap that no sample shows, a day: as many as tags that predict explain any few rows."""
 CLEAR = 0.35
 """Largest median distance of the mapped readings from their prediction, as a share of the leap."""
 CLEARLY = 1.25
@@ -96,20 +103,28 @@ EXPLAINS = 0.3
 DECISIVE = 4.0
 """Times by which the mapped readings of one side are nearer to their prediction than the readings as they stand, so
 that the other tags need not rest: a step of the plant is in those tags, and its mapped readings are not nearer."""
+ALIKE = 1e-6
+"""Ridge of those sums of squares, as a share of the rows: far below what a tag tells."""
 STEP_EXPLAINS = 1.5
 """Ratio of the sums of squares without and with a step, from which a leap beside others is judged at all."""
+EDGE = 0.5
+"""Share of a step between samples by which the map of days may differ from it."""
+OF_A_UNIT = 0.04
+"""Difference of a factor's logarithm from that between two units, up to which it is a unit's: what the laws of fans and
+pumps leave open over days."""
 BACK = 0.35
 """Share of a leap, at the usual reading, by which the return from it may differ."""
 ROUNDS = 4
 FEWEST = 100
 """Samples of a tag below which nothing is judged by them."""
-MOST = 100
-"""Leaps of a tag that are judged, the largest first; and changes of range of a station."""
+MOST, MOST_HIDDEN = 100, 40
+"""Leaps of a tag that are judged, the largest first, those that the samples show and those that they do not; the first
+is also the most changes of range of a station."""
 
 
 @dataclass(frozen=True)
 class _Leap:
-    """A leap of a tag: times of the samples before and after it, and the map from the old reading to the new one."""
+    """A leap of a tag: times of the readings before and after it, and the map from the old reading to the new one."""
 
     before_s: float
     after_s: float
@@ -117,55 +132,100 @@ class _Leap:
     constant: float
     doubt: float
     """Distance of the mapped readings from their prediction, as a share of the leap."""
+    hidden: bool
+    """No sample shows it."""
 
 
-def range_changes(series: Sequence[Series]) -> list[Defect]:
+@dataclass(frozen=True)
+class RangeChanges:
+    """Spans in which tags read on another scale: of the kind `range_change`, and those whose scale is of a unit."""
+
+    ranges: tuple[Defect, ...]
+    units: tuple[Switch, ...]
+
+    @property
+    def defects(self) -> list[Defect]:
+        """Both."""
+        return [*self.ranges, *(one.defect for one in self.units)]
+
+
+def range_changes(
+    series: Sequence[Series], roles: frozenset[str] = WITNESSED | {*FANS}, full_speed: str = "60 Hz"
+) -> RangeChanges:
     """Return the spans in which tags read on another scale than before.
+
+    The readings before the first leap of a tag are taken as right.
 
     Parameters
     ----------
     series
         Good samples of the tags in the units of the dictionary, without changes of unit and stuck values.
-
-    Returns
-    -------
-    list of Defect
-        One a span, of the kind `range_change`; the readings before the first leap of a tag are taken as right.
+    roles
+        Of the tags that are judged; all of them are witnesses.
+    full_speed
+        Speed of a fan at 100 %, with its unit: a share and a frequency are units of one quantity.
     """
     table = panel(series)
-    leaps: dict[int, list[_Leap]] = {k: [] for k in range(len(table.series))}
+    leaps: dict[int, list[_Leap]] = {k: [] for k, one in enumerate(table.series) if one.tag.role in roles}
     judged: dict[int, list[_Leap]] = {}
-    anew = [k for k in leaps if len(_candidates(table, k))]
+    anew = [k for k in leaps if _candidates(table, k)]
     for _ in range(MOST):
         unusual = _unusual(table)
         judged |= {k: _borne_out(table, k, leaps[k], unusual) for k in anew}
         surest = min(
-            ((leap.doubt, k, leap) for k, found in judged.items() for leap in found),
-            key=lambda one: one[:2],
+            ((leap.hidden, leap.doubt, k, leap) for k, found in judged.items() for leap in found),
+            key=lambda one: one[:3],
             default=None,
         )
         if surest is None:
             break
-        # The surest first: with its readings mapped, the leaps of the tags that they predict are judged anew.
-        _, k, leap = surest
+        # Leaps that the samples show, and of them the surest, come first: with its readings mapped, the leaps of the
+        # tags that they predict are judged anew.
+        _, _, k, leap = surest
         leaps[k].append(leap)
         table = _mapped(table, k, leap)
         anew = [j for j in judged if _related(table, k, j)]
-    return [one for k, found in leaps.items() for one in _spans(table.series[k], found)]
+    spans = [(table.series[k], one) for k, found in leaps.items() for one in _spans(table.series[k], found)]
+    units = {id(span): _unit_of(one, span, full_speed) for one, span in spans}
+    return RangeChanges(
+        tuple(_defect(one, span) for one, span in spans if units[id(span)] is None),
+        tuple(switch for switch in units.values() if switch is not None),
+    )
 
 
 def _borne_out(table: TagPanel, k: int, before: Sequence[_Leap], unusual: Array) -> list[_Leap]:
     """Return the leaps of a tag that the other tags bear out, beside those that were found before."""
     found = []
-    for row in _candidates(table, k).tolist():
-        if any(leap.before_s == table.series[k].time_s[row] for leap in before):
+    candidates = _candidates(table, k)
+    if not candidates:
+        return []
+    rest = SMALLEST_WORK * float(np.nanquantile(np.abs(table.values[k]), 0.95)) if _is_ratio(table.series[k]) else None
+    ratio = _law_ratio(table, k) if table.series[k].tag.role in FANS else np.zeros(0)
+    for at in candidates:
+        if any(leap.before_s == table.series[k].time_s[at.row] for leap in before):
             continue
-        back = _return(table, k, row, before)
-        alone = not _others_moved(table, k, float(table.series[k].time_s[row + 1]), unusual)
-        leap = _judged(table, k, row, back, alone=alone or back is not None)
+        if len(ratio) and not _splits_best(table.series[k], ratio, at, candidates):
+            continue
+        back = _return(table, k, at, before)
+        alone = not at.hidden and not _others_moved(table, k, float(table.series[k].time_s[at.after]), unusual)
+        leap = _judged(table, k, at, back, rest, alone=alone or back is not None)
         if leap is not None:
             found.append(leap)
     return found
+
+
+def _splits_best(series: Series, ratio: Array, at: _Candidate, candidates: Sequence[_Candidate]) -> bool:
+    """Return whether of the candidates nearby a leap of a fan's tag is the one about which its ratio to the law is two
+    levels, by least absolute error."""
+    time_s = series.time_s
+    low, high = np.searchsorted(time_s, (time_s[at.row] - LAW_S, time_s[at.after] + LAW_S)).tolist()
+
+    def error(one: _Candidate) -> float:
+        sides = ratio[low : one.row + 1], ratio[one.after : high]
+        return sum(float(np.nansum(np.abs(side - np.nanmedian(side)))) for side in sides)
+
+    near = [one for one in candidates if low <= one.row and one.after < high]
+    return error(at) <= min((error(one) for one in near), default=np.inf)
 
 
 def _mapped(table: TagPanel, k: int, leap: _Leap) -> TagPanel:
@@ -199,32 +259,56 @@ def _is_ratio(series: Series) -> bool:
     return unit_of(series.tag.unit).dimension not in LEAST and series.tag.role != "barometric_pressure"
 
 
-def _candidates(table: TagPanel, k: int) -> NDArray[np.intp]:
-    """Return the rows after which a tag leaps to another level, the largest leap first."""
+@dataclass(frozen=True)
+class _Candidate:
+    """Rows of the last reading of a tag before a leap and of the first one after it; `hidden` where the tag was at rest
+    or silent in between, so that its samples do not show the leap."""
+
+    row: int
+    after: int
+    hidden: bool
+
+    def sides(self, x: Array) -> tuple[float, float]:
+        """Return the levels of values (n,) on either side."""
+        return (
+            float(np.nanmedian(x[max(self.row + 1 - LEVEL, 0) : self.row + 1])),
+            float(np.nanmedian(x[self.after : self.after + LEVEL])),
+        )
+
+
+def _candidates(table: TagPanel, k: int) -> list[_Candidate]:
+    """Return where a tag leaps to another level, the largest leap first."""
     series = table.series[k]
     if not _witnessed(table, k) or len(series.time_s) < FEWEST:
-        return np.zeros(0, dtype=np.intp)
+        return []
     x, least = _canonical(series), LEAST.get(unit_of(series.tag.unit).dimension, LEAST_KPA)
-    if _is_ratio(series) or series.tag.role in FANS:
+    if series.tag.role in FANS:
+        x, least = _law_ratio(table, k), _least_ratio(series)
+    elif _is_ratio(series):
         rest = max(SMALLEST_WORK * float(np.quantile(np.abs(x), 0.95)), 1e-9)
-        least = _least_ratio(series)
-        x = np.where(x > rest, np.log(np.maximum(x, rest)), np.nan)
-        if series.tag.role in FANS:
-            x = x - _of_its_fan(table, k)
-    step = np.where(series.broken(), 0.0, np.nan_to_num(np.diff(x)))
-    apart = np.diff(series.time_s)
-    usual = float(np.quantile(np.abs(step), USUAL[0])) / USUAL[1]
+        x, least = np.where(x > rest, np.log(np.maximum(x, rest)), np.nan), _least_ratio(series)
+    work = np.flatnonzero(np.isfinite(x))
+    if len(work) < FEWEST:
+        return []
+    ends = np.concatenate([[0], np.cumsum(series.broken())])
+    hidden = (np.diff(work) > 1) | (ends[work[1:]] > ends[work[:-1]])
+    step = np.diff(x[work])
+    apart = np.diff(series.time_s[work])
+    usual = float(np.quantile(np.abs(step[~hidden]), USUAL[0])) / USUAL[1] if (~hidden).any() else 0.0
     stretch = np.sqrt(np.maximum(apart / max(float(np.median(apart)), 1e-9), 1.0))
-    rows = np.flatnonzero(np.abs(step) >= np.maximum(least, 0.0 if series.tag.role in FANS else FAR * usual * stretch))
-    rows = rows[np.argsort(-np.abs(step[rows]), kind="stable")][:MOST]
-    return np.asarray([row for row in rows.tolist() if _stays(x, row, step[row])], dtype=np.intp)
-
-
-def _stays(x: Array, row: int, step: float) -> bool:
-    """Return whether the samples about a step are on the two levels that it joins: no spike, and no ramp."""
-    before, after = x[max(row + 1 - LEVEL, 0) : row + 1], x[row + 1 : row + 1 + LEVEL]
-    change = float(np.nanmedian(after) - np.nanmedian(before))
-    return bool(change * np.sign(step) >= HELD * abs(step))
+    far = np.maximum(least, 0.0 if series.tag.role in FANS else FAR * usual * stretch)
+    found: list[tuple[float, _Candidate]] = []
+    for i in np.flatnonzero(hidden | (np.abs(step) >= far)).tolist():
+        at = _Candidate(int(work[i]), int(work[i + 1]), bool(hidden[i]))
+        before, after = at.sides(x)
+        if hidden[i] and abs(after - before) >= least:
+            found.append((-abs(after - before), at))
+        elif not hidden[i] and (after - before) * np.sign(step[i]) >= HELD * abs(step[i]):
+            # On the two levels that the step joins: no spike, and no ramp.
+            found.append((-abs(float(step[i])), at))
+    found.sort(key=lambda one: (one[0], one[1].row))
+    seen = [at for _, at in found if not at.hidden][:MOST]
+    return seen + [at for _, at in found if at.hidden][:MOST_HIDDEN]
 
 
 def _of_its_fan(table: TagPanel, k: int) -> Array:
@@ -291,10 +375,10 @@ def _others_moved(table: TagPanel, k: int, at_s: float, unusual: Array) -> bool:
     return bool((moved & np.array(counts)).any())
 
 
-def _return(table: TagPanel, k: int, row: int, leaps: Sequence[_Leap]) -> tuple[float, float] | None:
+def _return(table: TagPanel, k: int, at: _Candidate, leaps: Sequence[_Leap]) -> tuple[float, float] | None:
     """Return factor and constant of a leap that goes back by what the leaps of the tag before it have left, so that it
     ends their span; None for another leap."""
-    x, at_s = _canonical(table.series[k]), float(table.series[k].time_s[row])
+    x, at_s = _canonical(table.series[k]), float(table.series[k].time_s[at.row])
     factor, constant = 1.0, 0.0
     for leap in (one for one in leaps if one.after_s <= at_s):
         factor, constant = factor * leap.factor, constant * leap.factor + leap.constant
@@ -302,10 +386,7 @@ def _return(table: TagPanel, k: int, row: int, leaps: Sequence[_Leap]) -> tuple[
         return None
     inverse = 1.0 / factor, -constant / factor
     # The table holds the readings mapped already: a return leaves them short by the same map.
-    before, after = (
-        float(np.median(x[max(row + 1 - LEVEL, 0) : row + 1])),
-        float(np.median(x[row + 1 : row + 1 + LEVEL])),
-    )
+    before, after = at.sides(x)
     if constant == 0.0:
         wanted, seen = -float(np.log(factor)), float(np.log(after / before)) if min(before, after) > 0.0 else np.inf
     else:
@@ -331,74 +412,125 @@ def _witnesses(table: TagPanel, k: int, rows: slice) -> Array:
     return design_matrix(np.stack(values)) if values else np.ones((rows.stop - rows.start, 1))
 
 
-def _judged(table: TagPanel, k: int, row: int, back: tuple[float, float] | None, *, alone: bool = True) -> _Leap | None:
-    """Return a leap after a row of the tag's samples with its map, or None if the other tags do not bear it out.
+def _judged(
+    table: TagPanel, k: int, at: _Candidate, back: tuple[float, float] | None, rest: float | None, *, alone: bool
+) -> _Leap | None:
+    """Return a leap of a tag with its map, or None if the other tags do not bear it out.
 
-    `back` is the map of a return, which is tried before any other. Where other tags moved as well (not `alone`), the
-    evidence must be decisive.
+    The longest time over which it may last tells its map best, unless a shorter one leaves much less doubt: the longer
+    one may hold its return.
+
+    Parameters
+    ----------
+    back
+        Map of a return, which is tried before any other.
+    rest
+        Reading up to which the tag is at rest, in the record's unit; None for a tag that has no rest.
+    alone
+        No other tag moved then. Else the evidence must be decisive.
     """
+    found = [
+        one for last_s in AFTER_S if (one := _judged_over(table, k, at, back, rest, last_s, alone=alone)) is not None
+    ]
+    least = min((one.doubt for one in found), default=0.0)
+    return next((one for one in found if one.doubt <= SURER * least), None)
+
+
+def _judged_over(
+    table: TagPanel,
+    k: int,
+    at: _Candidate,
+    back: tuple[float, float] | None,
+    rest: float | None,
+    last_s: float,
+    *,
+    alone: bool,
+) -> _Leap | None:
+    """Return a leap with its map by the readings up to `last_s` after it, or None."""
     series, grid = table.series[k], table.grid_s
-    before_s, after_s = float(series.time_s[row]), float(series.time_s[row + 1])
-    for last_s in AFTER_S:
-        low, high = np.searchsorted(grid, (before_s - BEFORE_S, after_s + last_s)).tolist()
-        rows = slice(low, high)
-        x = table.values[k, rows]
-        if _is_ratio(series):
-            x = np.where(np.abs(x) > SMALLEST_WORK * np.nanquantile(np.abs(table.values[k]), 0.95), x, np.nan)
-        x = np.where((grid[rows] > before_s) & (grid[rows] < after_s), np.nan, x)
-        after = grid[rows] >= after_s
-        if min((np.isfinite(x) & part).sum() for part in (after, ~after)) < LEAST_ROWS:
-            continue
-        matrix = _witnesses(table, k, rows)
-        if not alone and not _step_explains(x, after, matrix):
-            continue
-        plain, _ = robust_prediction(x, matrix)
-        returned = None if back is None else _with_map(x, after, matrix, *back)
-        if back is not None and returned is not None and returned.is_borne_out(x - plain, after, alone=True):
-            return _Leap(before_s, after_s, *back, returned.doubt(after))
-        usual_map = _is_ratio(series) or series.tag.role in FANS
-        fits = [_fitted(x, after, matrix, ratio=ratio) for ratio in (usual_map, not usual_map)]
-        errors = [np.inf if one is None else one.error for one in fits]
-        fit = fits[0] if errors[0] <= CLEARLY * errors[1] else fits[1]
-        if fit is not None and fit.is_borne_out(x - plain, after, alone=alone) and _at_the_edge(series, row, fit):
-            by_law = None if fit.constant != 0.0 else _by_law(table, k, row)
-            factor = by_law if by_law and abs(np.log(by_law / fit.factor)) < LAW_APART else fit.factor
-            return _Leap(before_s, after_s, factor, fit.constant, fit.doubt(after))
-    return None
+    before_s, after_s = float(series.time_s[at.row]), float(series.time_s[at.after])
+    low, high = np.searchsorted(grid, (before_s - BEFORE_S, after_s + last_s)).tolist()
+    rows = slice(low, high)
+    x = table.values[k, rows]
+    if rest is not None:
+        x = np.where(np.abs(x) > rest, x, np.nan)
+    x = np.where((grid[rows] > before_s) & (grid[rows] < after_s), np.nan, x)
+    after = grid[rows] >= after_s
+    if min((np.isfinite(x) & part).sum() for part in (after, ~after)) < (HIDDEN_ROWS if at.hidden else LEAST_ROWS):
+        return None
+    matrix = _witnesses(table, k, rows)
+    if not alone and not _step_explains(x, after, matrix):
+        return None
+    plain, _ = robust_prediction(x, matrix)
+    returned = None if back is None else _with_map(x, after, matrix, *back)
+    if back is not None and returned is not None and returned.is_borne_out(x - plain, after, alone=True):
+        return _Leap(before_s, after_s, *back, returned.doubt(after), at.hidden)
+    usual_map = _is_ratio(series) or series.tag.role in FANS
+    by_law = _by_law(table, k, at)
+    fits = [_fitted(x, after, matrix, ratio=ratio, first=by_law) for ratio in (usual_map, not usual_map)]
+    errors = [np.inf if one is None else one.error for one in fits]
+    fit = fits[0] if errors[0] <= CLEARLY * errors[1] else fits[1]
+    if fit is None or not fit.is_borne_out(x - plain, after, alone=alone):
+        return None
+    if not _large(series, at, fit) or not (at.hidden or _at_the_edge(series, at, fit)):
+        return None
+    as_the_law = by_law is not None and fit.constant == 0.0 and abs(float(np.log(by_law / fit.factor))) < LAW_APART
+    if at.hidden and by_law is not None and not as_the_law:
+        return None
+    factor = by_law if by_law is not None and as_the_law else fit.factor
+    return _Leap(before_s, after_s, factor, fit.constant, fit.doubt(after), at.hidden)
 
 
 def _step_explains(x: Array, after: Mask, matrix: Array) -> bool:
     """Return whether a step leaves much less of a tag than the other tags alone do, by least squares."""
     rows = np.isfinite(x)
-    with_step = np.column_stack([matrix[rows], after[rows].astype(np.float64)])
+    columns = np.column_stack([matrix[rows], after[rows].astype(np.float64)])
     y = x[rows] - x[rows].mean()
-    left = [float(((y - a @ np.linalg.lstsq(a, y, rcond=None)[0]) ** 2).sum()) for a in (with_step[:, :-1], with_step)]
+    gram, right = columns.T @ columns, columns.T @ y
+    # Tags that are alike would make the equations singular.
+    gram[np.diag_indices_from(gram)] += ALIKE * len(y)
+    left = []
+    for count in (matrix.shape[1], matrix.shape[1] + 1):
+        found = np.linalg.solve(gram[:count, :count], right[:count])
+        left.append(float(((y - columns[:, :count] @ found) ** 2).sum()))
     return left[0] > STEP_EXPLAINS * left[1]
 
 
-def _by_law(table: TagPanel, k: int, row: int) -> float | None:
+def _by_law(table: TagPanel, k: int, at: _Candidate) -> float | None:
     """Return the factor of a fan's tag by the law of its fan, over the hours about a leap; None for another tag."""
     series = table.series[k]
     if series.tag.role not in FANS:
         return None
-    x = _canonical(series)
-    rest = SMALLEST_WORK * float(np.quantile(np.abs(x), 0.95))
-    ratio = np.where(x > rest, np.log(np.maximum(x, rest)), np.nan) - _of_its_fan(table, k)
+    ratio = _law_ratio(table, k)
     time_s = series.time_s
-    low, high = np.searchsorted(time_s, (time_s[row] - LAW_S, time_s[row + 1] + LAW_S)).tolist()
-    change = float(np.nanmedian(ratio[row + 1 : high]) - np.nanmedian(ratio[low : row + 1]))
+    low, high = np.searchsorted(time_s, (time_s[at.row] - LAW_S, time_s[at.after] + LAW_S)).tolist()
+    change = float(np.nanmedian(ratio[at.after : high]) - np.nanmedian(ratio[low : at.row + 1]))
     return float(np.exp(change)) if np.isfinite(change) else None
 
 
-def _at_the_edge(series: Series, row: int, fit: _Fit) -> bool:
-    """Return whether the map of days is, at the leap, large enough and the step that the samples show there."""
+def _law_ratio(table: TagPanel, k: int) -> Array:
+    """Return the logarithm of the readings of a fan's tag over those of the law of its fan (n,); NaN at rest."""
+    x = _canonical(table.series[k])
+    rest = max(SMALLEST_WORK * float(np.quantile(np.abs(x), 0.95)), 1e-9)
+    return np.asarray(np.where(x > rest, np.log(np.maximum(x, rest)), np.nan) - _of_its_fan(table, k))
+
+
+def _at_the_edge(series: Series, at: _Candidate, fit: _Fit) -> bool:
+    """Return whether the map of days is the step that the samples show at the leap.
+
+    The two samples that it joins show it beside what the plant does meanwhile, the levels of some beside their noise.
+    """
     x = _canonical(series)
-    before, after = (
-        float(np.median(part)) for part in (x[max(row + 1 - LEVEL, 0) : row + 1], x[row + 1 : row + 1 + LEVEL])
-    )
+    for before, after in (at.sides(x), (float(x[at.row]), float(x[at.after]))):
+        if abs(fit.factor * before + fit.constant - after) <= EDGE * abs(after - before):
+            return True
+    return False
+
+
+def _large(series: Series, at: _Candidate, fit: _Fit) -> bool:
+    """Return whether the map of days changes the reading at the leap by more than the plant's own faults do."""
+    before, _ = at.sides(_canonical(series))
     mapped = fit.factor * before + fit.constant
-    if abs(mapped - after) > 0.5 * abs(after - before):
-        return False
     if not _is_ratio(series):
         return abs(mapped - before) >= LEAST.get(unit_of(series.tag.unit).dimension, LEAST_KPA)
     return abs(float(np.log(max(mapped, 1e-9) / max(before, 1e-9)))) >= _least_ratio(series)
@@ -454,13 +586,16 @@ class _Fit:
         return gained > EXPLAINS * size * float(min(part.sum() for part in parts))
 
 
-def _fitted(x: Array, after: Mask, matrix: Array, *, ratio: bool) -> _Fit | None:
-    """Return the map by a factor (or else a constant) with which the readings after a leap go with the prediction."""
+def _fitted(x: Array, after: Mask, matrix: Array, *, ratio: bool, first: float | None = None) -> _Fit | None:
+    """Return the map by a factor (or else a constant) with which the readings after a leap go with the prediction.
+
+    `first` is the factor to begin with; None for that of the hours about the leap.
+    """
     sides = [np.flatnonzero(np.isfinite(x) & part) for part in (~after, after)]
     near = [float(np.median(x[part])) for part in (sides[0][-LEAST_ROWS // 4 :], sides[1][: LEAST_ROWS // 4])]
     if ratio and not (near[0] > 0.0 and near[1] > 0.0):
         return None
-    factor, constant = (near[1] / near[0], 0.0) if ratio else (1.0, near[1] - near[0])
+    factor, constant = (first or near[1] / near[0], 0.0) if ratio else (1.0, near[1] - near[0])
     for _ in range(ROUNDS):
         mapped = np.where(after, (x - constant) / factor, x)
         predicted, _ = robust_prediction(mapped, matrix)
@@ -481,32 +616,60 @@ def _with_map(x: Array, after: Mask, matrix: Array, factor: float, constant: flo
     return _Fit(factor, constant, np.where(after, x - mapped, 0.0), mapped - predicted)
 
 
-def _spans(series: Series, leaps: Sequence[_Leap]) -> list[Defect]:
+@dataclass(frozen=True)
+class _OtherScale:
+    """A span of a tag on another scale: times, and the map from its readings before."""
+
+    start_s: float
+    end_s: float
+    factor: float
+    constant: float
+
+
+def _spans(series: Series, leaps: Sequence[_Leap]) -> list[_OtherScale]:
     """Return the spans between leaps in which the readings are on another scale than before the first."""
-    found: list[Defect] = []
+    found: list[_OtherScale] = []
     factor, constant, since = 1.0, 0.0, 0.0
     in_order = sorted(leaps, key=lambda one: one.after_s)
     usual = float(np.median(_canonical(series)[series.time_s < in_order[0].after_s])) if in_order else 0.0
     for leap in in_order:
         if (factor, constant) != (1.0, 0.0):
-            found.append(_defect(series, since, leap.before_s, factor, constant))
+            found.append(_OtherScale(since, leap.before_s, factor, constant))
         total = factor * leap.factor, constant * leap.factor + leap.constant
         off, left = ((f - 1.0) * usual + c for f, c in ((factor, constant), total))
         back = off != 0.0 and abs(left) < BACK * abs(off)
         factor, constant = (1.0, 0.0) if back else total
         since = leap.after_s
     if (factor, constant) != (1.0, 0.0) and len(series.time_s):
-        found.append(_defect(series, since, float(series.time_s[-1]), factor, constant))
+        found.append(_OtherScale(since, float(series.time_s[-1]), factor, constant))
     return found
 
 
-def _defect(series: Series, start_s: float, end_s: float, factor: float, constant: float) -> Defect:
+def _unit_of(series: Series, span: _OtherScale, full_speed: str) -> Switch | None:
+    """Return a span as a change of unit if its factor is that between two units, of some the nearest."""
+    own = unit_of(series.tag.unit)
+    if span.constant != 0.0 or own.offset != 0.0:
+        return None
+    near = [
+        (abs(float(np.log(span.factor * unit.scale / own.scale))), name, unit)
+        for name, unit in other_units(series, full_speed).items()
+        if unit.offset == 0.0
+    ]
+    # Of units that are alike, as L/s and kg/s, the first is of the tag's own kind.
+    apart, name, unit = min(near, key=lambda one: round(one[0], 2), default=(np.inf, "", own))
+    if apart > OF_A_UNIT:
+        return None
+    says = f"{series.tag.name} is in {name} instead of {series.tag.unit}"
+    return Switch(Defect("unit_switch", (series.tag.name,), span.start_s, span.end_s, says, "converted"), unit)
+
+
+def _defect(series: Series, span: _OtherScale) -> Defect:
     unit = unit_of(series.tag.unit)
     # The map is of the record's unit; the store is corrected in the tag's own, whose zero may be another.
-    own = (constant + (factor - 1.0) * unit.offset) / unit.scale
-    times = f"{factor:.3g} times what it did" if factor != 1.0 else ""
+    own = (span.constant + (span.factor - 1.0) * unit.offset) / unit.scale
+    times = f"{span.factor:.3g} times what it did" if span.factor != 1.0 else ""
     more = f"{abs(own):.3g} {series.tag.unit} {'more' if own > 0.0 else 'less'}" if own != 0.0 else ""
     says = f"{series.tag.name} reads "
     says += f"{times} and {more}" if times and more else times or f"{more} than it did"
-    says += ", and no other tag moved then: its range was changed; correct the readings in the store"
-    return Defect("range_change", (series.tag.name,), start_s, end_s, says, "left out")
+    says += ", and no other tag shows it: its range was changed; correct the readings in the store"
+    return Defect("range_change", (series.tag.name,), span.start_s, span.end_s, says, "left out")

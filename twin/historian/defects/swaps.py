@@ -15,7 +15,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.historian.defects.panel import STEP_S, TagPanel, design_matrix, largest_sum, moving_mean, robust_prediction
+from twin.historian.defects.panel import (
+    STEP_S,
+    TagPanel,
+    design_matrix,
+    largest_sum,
+    moving_mean,
+    panel,
+    robust_prediction,
+)
 from twin.historian.events import Event, naming
 from twin.historian.tags import Array, Defect, Mask, Series
 from twin.historian.units import unit_of
@@ -36,19 +44,35 @@ JUMP_ROWS = 4
 NEAR_ROWS = 144
 """Rows (a day and a half) about a jump in which every edge is tried."""
 MOST_EDGES = 40
-MOST = 3
-"""Swaps of a pair in a record."""
+MOST, MOST_PAIRS = 3, 6
+"""Swaps of a pair in a record, and pairs that were swapped."""
 
 
-def swapped(panel: TagPanel, events: Sequence[Event] = ()) -> list[Defect]:
-    """Return the pairs of temperatures or flows that carry each other's values, and from when to when."""
-    if len(panel.series) < 3 or len(panel.grid_s) < 200:
-        return []
+def swapped(series: Sequence[Series], events: Sequence[Event] = ()) -> list[Defect]:
+    """Return the pairs of temperatures or flows that carry each other's values, and from when to when.
+
+    A swapped pair reverses the prediction of the pairs beside it, too. So the pair of most evidence, of those that an
+    entry names first, is exchanged back before the others are judged.
+    """
     found: list[Defect] = []
-    for j, k in itertools.combinations(range(len(panel.series)), 2):
-        if _exchangeable(panel.series[j], panel.series[k]):
-            found += _pair(panel, j, k, events)
-    return _strongest(found)
+    for _ in range(MOST_PAIRS):
+        table = panel(series)
+        if len(table.series) < 3 or len(table.grid_s) < 200:
+            break
+        hits = []
+        for j, k in itertools.combinations(range(len(table.series)), 2):
+            names = {table.series[j].tag.name, table.series[k].tag.name}
+            # A pair that was exchanged back once is not exchanged again.
+            if _exchangeable(table.series[j], table.series[k]) and not any(names == set(one.tags) for one in found):
+                hits += _pair(table, j, k, events)
+        if not hits:
+            break
+        most = max(hits, key=lambda one: (bool(one.entries), one.evidence))
+        of_pair = [one.defect for one in hits if one.defect.tags == most.defect.tags]
+        found += of_pair
+        for defect in of_pair:
+            series = undo_swap(series, defect)
+    return found
 
 
 def undo_swap(series: Sequence[Series], defect: Defect) -> list[Series]:
@@ -94,42 +118,53 @@ def _exchangeable(first: Series, second: Series) -> bool:
     return first.tag.role == second.tag.role or first.tag.cell == second.tag.cell
 
 
-def _pair(panel: TagPanel, j: int, k: int, events: Sequence[Event]) -> list[Defect]:
+@dataclass(frozen=True)
+class _Hit:
+    """A swap with its evidence, a log likelihood ratio, the maintenance entries that name it, and its rows of the
+    table."""
+
+    defect: Defect
+    evidence: float
+    entries: tuple[Event, ...]
+    low: int
+    high: int
+
+
+def _pair(table: TagPanel, j: int, k: int, events: Sequence[Event]) -> list[_Hit]:
     """Return the swaps of a pair."""
-    first, second = panel.series[j].tag, panel.series[k].tag
+    first, second = table.series[j].tag, table.series[k].tag
     drivers = [
         i
-        for i, one in enumerate(panel.series)
+        for i, one in enumerate(table.series)
         if i not in (j, k)
         and one.tag.cell in (None, first.cell, second.cell)
         and unit_of(one.tag.unit).dimension not in ("angle", "state")
     ]
-    matrix = design_matrix(panel.values[drivers])
-    difference = panel.values[j] - panel.values[k]
+    matrix = design_matrix(table.values[drivers])
+    difference = table.values[j] - table.values[k]
     if np.isfinite(difference).sum() < 200:
         return []
-    found: list[Defect] = []
+    found: list[_Hit] = []
     sign = np.ones(len(difference))
     for _ in range(MOST):
-        hit = _judged(panel, (j, k), sign, matrix, events)
+        hit = _judged(table, (j, k), sign, matrix, events)
         if hit is None:
             break
-        defect, low, high = hit
-        found.append(defect)
-        sign[low:high] *= -1.0
+        found.append(hit)
+        sign[hit.low : hit.high] *= -1.0
+        # An entry is of one exchange: it supports no further one.
+        events = [one for one in events if one not in hit.entries]
     return found
 
 
-def _judged(
-    panel: TagPanel, pair: tuple[int, int], sign: Array, matrix: Array, events: Sequence[Event]
-) -> tuple[Defect, int, int] | None:
-    """Return the first span of a swap that both kinds of evidence support, with its begin and end; None without one.
+def _judged(table: TagPanel, pair: tuple[int, int], sign: Array, matrix: Array, events: Sequence[Event]) -> _Hit | None:
+    """Return the first span of a swap that both kinds of evidence support; None without one.
 
     Levels are tried first: they give the sharper edges. Changes within a day follow, for pairs that drift against one
     another by more than they differ; alone they need a maintenance entry.
     """
-    tags = panel.series[pair[0]].tag.name, panel.series[pair[1]].tag.name
-    now, other = (np.where(sign > 0.0, panel.values[k], panel.values[m]) for k, m in (pair, pair[::-1]))
+    tags = table.series[pair[0]].tag.name, table.series[pair[1]].tag.name
+    now, other = (np.where(sign > 0.0, table.values[k], table.values[m]) for k, m in (pair, pair[::-1]))
     difference = now - other
     for daily in (False, True):
         span = _span(difference, matrix, daily=daily)
@@ -139,20 +174,20 @@ def _judged(
         if span.correlation(low, high) <= AGAINST_NAMED and span.evidence >= LEAST_EVIDENCE_NAMED:
             for reach in (AROUND_ROWS, NEAR_ROWS):
                 low, high = span.moved(low, high, *_refined(difference, matrix, low, high, reach))
-        start, end = float(panel.grid_s[low]), float(panel.grid_s[high - 1])
-        named = bool(naming(events, tags, start) or naming(events, tags, end))
-        least, against = (LEAST_EVIDENCE_NAMED, AGAINST_NAMED) if named else (LEAST_EVIDENCE, AGAINST)
-        long_enough = LEAST_S <= end - start <= 0.6 * (panel.grid_s[-1] - panel.grid_s[0])
+        start, end = float(table.grid_s[low]), float(table.grid_s[high - 1])
+        entries = (*naming(events, tags, start), *naming(events, tags, end))
+        least, against = (LEAST_EVIDENCE_NAMED, AGAINST_NAMED) if entries else (LEAST_EVIDENCE, AGAINST)
+        long_enough = LEAST_S <= end - start <= 0.6 * (table.grid_s[-1] - table.grid_s[0])
         inside, outside = span.correlation(low, high), span.correlation(low, high, outside=True)
         if span.evidence < least or inside > against or outside < -against or not long_enough:
             continue
         alone = daily or not (_better(now, other, matrix, low, high) and _better(other, now, matrix, low, high))
-        if alone and not named:
+        if alone and not entries:
             continue
-        entry = "; a maintenance entry names both" if named else ""
+        entry = "; a maintenance entry names both" if entries else ""
         says = f"{tags[0]} and {tags[1]} carry each other's values for {(end - start) / DAY_S:.1f} days"
         says += f" (log likelihood ratio {span.evidence:.0f}{entry})"
-        return Defect("swap", tags, start, end, says, "exchanged"), low, high
+        return _Hit(Defect("swap", tags, start, end, says, "exchanged"), span.evidence, entries, low, high)
     return None
 
 
@@ -287,16 +322,3 @@ def _correlation(x: Array, y: Array, rows: Mask) -> float:
 def _bounded(x: Array) -> Array:
     limit = 3.0 * float(np.median(np.abs(x - np.median(x)))) + 1e-12
     return np.asarray(np.clip(x - np.median(x), -limit, limit))
-
-
-def _strongest(found: list[Defect]) -> list[Defect]:
-    """Return the swaps without those that share a tag and time with a longer one."""
-    left: list[Defect] = []
-    for one in sorted(found, key=lambda d: -(d.end_s - d.start_s)):
-        clash = any(
-            set(one.tags) & set(other.tags) and one.start_s < other.end_s and other.start_s < one.end_s
-            for other in left
-        )
-        if not clash:
-            left.append(one)
-    return left

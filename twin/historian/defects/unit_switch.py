@@ -143,7 +143,7 @@ def _edges_of(series: Series, full_speed: str) -> list[tuple[str, Unit, list[Edg
         return []
     found = []
     seen: set[tuple[float, float]] = set()
-    for name, unit in _other_units(series, full_speed).items():
+    for name, unit in other_units(series, full_speed).items():
         key = (round(float(np.log(unit.scale)), 2), round(unit.offset, 1))
         if key not in seen and (edges := unit_edges(series, own, unit)):
             found.append((name, unit, edges))
@@ -151,7 +151,7 @@ def _edges_of(series: Series, full_speed: str) -> list[tuple[str, Unit, list[Edg
     return found
 
 
-def _other_units(series: Series, full_speed: str) -> dict[str, Unit]:
+def other_units(series: Series, full_speed: str) -> dict[str, Unit]:
     """Return the units that the tag might switch to, of the same kind first; a fan's share and speed are one."""
     others = dict(alternatives(series.tag.unit))
     own = unit_of(series.tag.unit)

@@ -24,11 +24,8 @@ from twin.tower.air import Array
 from twin.tower.cell_observations import Label
 from twin.tower.estimates import DAY_S, Blocks, Estimate, Opening, Priors, moved_grid
 from twin.tower.model import SLOW, CellModel
-from twin.tower.smoother import JUMP, estimate, walk_precision
+from twin.tower.smoother import JUMP, RATE_D, estimate, unread_days, walk_precision
 
-RATE_D = {"fill": 1.0 / 1200.0, "air": 1.0 / 1200.0, "uniformity": 1.0 / 1200.0, "bias": 1.0 / 120.0}
-"""Undeclared changes a day. One thermometer in a plant steps or is exchanged some three times a year; a cell is cleaned
-two or three times, and one entry in eight is missing."""
 TOGETHER = {"fill": ("fill", "uniformity"), "uniformity": ("uniformity", "fill")}
 """Deviations that a jump opens beside its own: who washes a fill cleans its nozzles, with an entry or without."""
 APART_S = 5.0 * DAY_S
@@ -158,7 +155,8 @@ def _window(odds: Array, edges: Array, k: int) -> tuple[float, float]:
 
 def _log_bayes_factor(p: Estimate, known: Sequence[Opening], name: str) -> Array:
     """Return the logarithm of the Bayes factor of a jump between each two cells of the grid (k - 1,)."""
-    inner, drift = walk_precision(p.edges_s, name, known)
+    read = np.bincount(p.cell[np.isfinite(p.residual)], minlength=len(p.slow)) > 0
+    inner, drift = walk_precision(p.edges_s, name, known, unread_days(p.edges_s, read))
     rows = np.arange(len(p.slow)) * len(SLOW) + SLOW.index(name)
     own = p.covariance[np.ix_(rows, rows)]
     left = own[1:, 1:] + own[:-1, :-1] - own[1:, :-1] - own[:-1, 1:]

@@ -14,7 +14,7 @@ Source: Kass & Raftery, J. Am. Stat. Assoc. 90 (1995) 773; the Woodbury identity
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -23,12 +23,14 @@ from twin.tower.air import Array
 from twin.tower.calibration import Fitted
 from twin.tower.diagnosis.validation import jacobian_of
 from twin.tower.effects import CellEffect, pattern
-from twin.tower.model import NAMES, SLOW
+from twin.tower.model import NAMES, SLOW, CellModel
 
 FORM_ERROR = 0.1
 """Relative error of an effect's form once it is in the twin: its next hour is not that of the law."""
 FORM_BLOCKS = 12
 """Blocks of ten minutes over which a form's error stays the same, two hours."""
+SHARE = 0.05
+"""Share of exhaust by which the outlet's slope is taken."""
 STRUCTURE_K = 0.15
 """Standard deviation of each term of the twin's own error, K: Merkel's method misses Poppe's by some tenths of a kelvin
 over flows, fan speeds, wet bulb and humidity (Kloppers & Kroeger 2005)."""
@@ -93,8 +95,21 @@ class Evidence:
             return np.asarray(o.inputs.t_in - f.model.outlet(o, p.slow[p.cell], p.constant))
         if path in ("wetted", "water"):
             return np.asarray(-p.jacobian[:, SLOW.index("uniformity" if path == "wetted" else "flow_meter")])
-        name = {"exhaust": "recirculation", "inlet": "inlet_bias", "wet_bulb": "wet_bulb_bias"}[path]
+        if path == "exhaust":
+            return self._by_exhaust()
+        name = {"inlet": "inlet_bias", "wet_bulb": "wet_bulb_bias"}[path]
         return np.asarray(p.jacobian[:, len(SLOW) + NAMES.index(name)])
+
+    def _by_exhaust(self) -> Array:
+        """Return the outlet's rise for a share of 1 of exhaust in the entering air (n,), from that of `SHARE`."""
+        f, p = self.fitted, self.fitted.posterior
+        o = f.blocks.operation
+        further = CellEffect("recirculation", "exhaust", "always", size=SHARE)
+        drivers = o.patterns if o.patterns.size else np.zeros((len(o.wind), 0))
+        there = replace(o, patterns=np.concatenate([drivers, np.ones((len(o.wind), 1))], axis=1))
+        model = CellModel(f.model.design, f.model.site, (*f.model.effects, further))
+        here = f.model.outlet(o, p.slow[p.cell], p.constant)
+        return np.asarray((model.outlet(there, p.slow[p.cell], p.constant) - here) / SHARE)
 
     def responses(self, forms: Sequence[CellEffect]) -> Array:
         """Return the outlet's response to each form at size 1, by block (n, m)."""
