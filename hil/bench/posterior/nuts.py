@@ -29,6 +29,11 @@ from twin.kernel import Kernel
 
 STEPS = 4
 """Runge-Kutta steps a sample: the fastest volume has a time constant of some seconds, and a sample is 5 s long."""
+ACCEPTED, ATTEMPTS = 0.9, 3
+"""Share of proposals that the first chain accepts, and chains that are begun for a window before it is given up."""
+CONVERGED = 1.05
+"""Largest split R-hat of chains that have converged (Vehtari et al., Bayesian Analysis 16 (2021) 667, use 1.01 for
+several chains; one of some hundred draws scatters more)."""
 OUTSIDE = 0.02
 """Standard deviation in z with which the density falls beyond a parameter's bounds; steep walls make chains diverge."""
 
@@ -71,6 +76,8 @@ class Draws:
         Draws at which the sampler diverged.
     r_hat
         Largest split R-hat of all variables.
+    attempts
+        Chains that were begun; of several, the last one counts.
     kernel_K
         Largest difference of a reading between kernel and jax at the start of the chain, K.
     """
@@ -78,7 +85,12 @@ class Draws:
     z: Array
     divergent: int
     r_hat: float
+    attempts: int
     kernel_K: float
+
+    @property
+    def converged(self) -> bool:
+        return self.r_hat <= CONVERGED
 
 
 class PosteriorSampler:
@@ -111,10 +123,21 @@ class PosteriorSampler:
             found = jax.pure_callback(self._traced, shape((n, sensors, 1 + size), np.float64), primals[0])
             return found[:, :, 0], found[:, :, 1:] @ tangents[0]
 
-        kernel = NUTS(
-            partial(_model, readings, self._scaling), target_accept_prob=0.9, forward_mode_differentiation=True
-        )
-        self._chain = MCMC(kernel, num_warmup=warmup, num_samples=draws, progress_bar=False, jit_model_args=True)
+        self._density, self._steps = partial(_model, readings, self._scaling), (warmup, draws)
+        self._chains: dict[int, MCMC] = {}
+
+    def _chain(self, attempt: int) -> MCMC:
+        """Return the chain of an attempt: each adapts twice as long as the one before, and takes smaller steps."""
+        if attempt not in self._chains:
+            warmup, draws = self._steps
+            accepted = 1.0 - (1.0 - ACCEPTED) / 3.0**attempt
+            kernel = NUTS(
+                self._density, target_accept_prob=accepted, dense_mass=True, forward_mode_differentiation=True
+            )
+            self._chains[attempt] = MCMC(
+                kernel, num_warmup=warmup * 2**attempt, num_samples=draws, progress_bar=False, jit_model_args=True
+            )
+        return self._chains[attempt]
 
     def _traced(self, v: Any) -> Array:
         """Return readings and their derivatives (n, m, 1 + q + k) of the window at v (q + k,), by the kernel."""
@@ -123,7 +146,7 @@ class PosteriorSampler:
         return self._problem.readings_and_derivatives(inside)
 
     def draw(self, model: WindowModel, start: Array, seed: int) -> Draws:
-        """Return draws from the posterior of a window.
+        """Return draws from the posterior of a window; a chain that does not converge is begun anew.
 
         Parameters
         ----------
@@ -152,14 +175,18 @@ class PosteriorSampler:
             "member": (model.segment[:, None] == np.arange(model.segment[-1] + 1)).astype(np.float64),
         }
         first = {"x": jnp.zeros(start.size)}
-        self._chain.run(jax.random.PRNGKey(seed), data, init_params=first, extra_fields=("diverging",))
-        drawn = np.asarray(self._chain.get_samples()["x"])
-        divergent = int(np.asarray(self._chain.get_extra_fields()["diverging"]).sum())
+        r_hat, divergent, drawn, attempt = np.inf, 0, np.zeros((0, start.size)), 0
+        while r_hat > CONVERGED and attempt < ATTEMPTS:
+            chain = self._chain(attempt)
+            attempt += 1
+            chain.run(jax.random.PRNGKey(seed + attempt), data, init_params=first, extra_fields=("diverging",))
+            drawn = np.asarray(chain.get_samples()["x"])
+            divergent = int(np.asarray(chain.get_extra_fields()["diverging"]).sum())
+            r_hat = max(float(numpyro.diagnostics.split_gelman_rubin(column[None])) for column in drawn.T)
         v = start + drawn @ root.T
         q = len(self._scaling.ids)
-        r_hat = max(float(numpyro.diagnostics.split_gelman_rubin(column[None])) for column in drawn.T)
         by_jax = np.asarray(self._by_jax(start, w.parameters, w.inputs, np.diff(w.time)))
-        return Draws(v[:, :q], divergent, r_hat, float(np.abs(by_jax - here[:, :, 0]).max()))
+        return Draws(v[:, :q], divergent, r_hat, attempt, float(np.abs(by_jax - here[:, :, 0]).max()))
 
 
 def _model(readings: Any, scaling: Scaling, data: dict[str, Any]) -> None:

@@ -102,6 +102,9 @@ def measure(
         model, start = stated_model(case, scaling)
         draws = sampler.draw(model, start, seed + number)
         sampled.append(draws)
+        if not draws.converged:
+            say(number / total, f"{case.rig}, {case.state}: R-hat {draws.r_hat:.2f}, left out")
+            continue
         compared += [_compare(name, case, scaling, draws, seed) for name in CALIBRATORS]
     return (_widths(compared), _coverage(compared), _chains(sampled)), ()
 
@@ -200,17 +203,25 @@ def _coverage(compared: list[Compared]) -> ReportTable:
 
 
 def _chains(sampled: list[Draws]) -> ReportTable:
+    kept = [s for s in sampled if s.converged]
+    row: tuple[Cell, ...] = (
+        len(sampled),
+        len(sampled) - len(kept),
+        sum(s.attempts for s in sampled),
+        sum(s.divergent for s in kept),
+        max((s.r_hat for s in kept), default=float("nan")),
+        max(s.r_hat for s in sampled),
+        max(s.kernel_K for s in sampled),
+    )
     return ReportTable(
         "chains",
         "Quality of the chains, and the kernel against jax",
-        ("windows", "divergent", "worst R-hat", "kernel K"),
+        ("windows", "left out", "chains", "divergent", "worst R-hat", "worst of all", "kernel K"),
+        (row,),
         (
-            (
-                len(sampled),
-                sum(s.divergent for s in sampled),
-                max(s.r_hat for s in sampled),
-                max(s.kernel_K for s in sampled),
-            ),
+            "Left out: windows whose chain had not converged at the last attempt; they are in no other table. Each "
+            "attempt adapts twice as long as the one before. Divergent draws and the worst R-hat are of the windows "
+            "kept.",
+            "Kernel: largest difference of a reading between the twin's kernel and the integration by jax.",
         ),
-        ("Kernel: largest difference of a reading between the twin's kernel and the integration by jax.",),
     )
