@@ -1,0 +1,2 @@
+"""Bench of unmodelled effects found while a record goes on."""
+__all__: list[str] = []
