@@ -17,7 +17,7 @@ from twin.calibrators.hiera_unet.effects.balance import Figures, Hypothesis
 from twin.calibrators.hiera_unet.effects.memory import Memory, learn
 
 SPLIT_STRIDE = 1_000_000
-_FIGURES = ("end_s", "power", "direction", "operating", "valid")
+_FIGURES = ("end_s", "power", "direction", "levels", "rates", "valid")
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,6 @@ def _path(folder: Path, split: Split, k: int) -> Path:
 def _write(path: Path, rig: StoredRig) -> None:
     arrays: dict[str, Array] = {f"healthy.{name}": getattr(rig.healthy, name) for name in _FIGURES}
     arrays["kick"] = rig.healthy.kick
-    moving = rig.healthy.moving
     for k, record in enumerate(rig.records):
         arrays[f"{k}.size"] = record.size
         for which in ("figures", "calm"):
@@ -99,7 +98,6 @@ def _write(path: Path, rig: StoredRig) -> None:
     about = {
         "hypotheses": [(h.kind, h.where) for h in rig.hypotheses],
         "truths": [r.truth for r in rig.records],
-        "moving": (moving.start, moving.stop),
     }
     narrow = {k: v.astype(np.float32) if v.dtype == np.float64 else v for k, v in arrays.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -111,11 +109,10 @@ def _read(path: Path) -> StoredRig:
     with np.load(path) as file:
         held = {k: v.astype(np.float64) if v.dtype == np.float32 else v for k, v in file.items()}
     about = json.loads(bytes(held["about"]))
-    moving = slice(*about["moving"])
 
     def figures(prefix: str) -> Figures:
         values = {name: held[f"{prefix}.{name}"] for name in _FIGURES}
-        return Figures(kick=held["kick"], moving=moving, **values)
+        return Figures(kick=held["kick"], **values)
 
     records = tuple(
         Watched(figures(f"{k}.figures"), figures(f"{k}.calm"), truth, held[f"{k}.size"])

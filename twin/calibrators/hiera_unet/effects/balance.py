@@ -76,10 +76,10 @@ class Figures:
         Power at each node that each hypothesis adds at size 1 (K, H, N).
     kick
         Further energy at each node when a hypothesis begins at size 1 (H, N), J: a step of a reading.
-    operating
-        Operating point that the memory of a healthy record is read at (K, N, X).
-    moving
-        Columns of the operating point that are rates: large where the rig is in transition.
+    levels
+        Inputs, averaged over each window (K, c).
+    rates
+        Change of inputs and of node temperatures within a window (K, c + N), per `WINDOW_S`.
     valid
         Windows with enough samples (K,).
     """
@@ -88,8 +88,8 @@ class Figures:
     power: Array
     direction: Array
     kick: Array
-    operating: Array
-    moving: slice
+    levels: Array
+    rates: Array
     valid: np.ndarray
 
 
@@ -187,24 +187,13 @@ class Balance:
         kick = np.zeros((len(self.hypotheses), n))
         for h, (_, _, node) in enumerate(self._sensors):
             kick[3 * n + h, node] = self._capacity[node]
-        rates = WINDOW_S * np.concatenate([rate[:, -c:], tilt], axis=1)
-        # Water on its way carries the last window's change into this one.
-        before = np.vstack([rates[:1], rates[:-1]])
-        common = np.concatenate([np.ones((k, 1)), rates, before, average[:, -c:], excess], axis=1)
-        own = [
-            h for h, one in enumerate(self.hypotheses) if one.kind in ("flow", "heat_rejection", "bypass", "actuator")
-        ]
-        operating = np.concatenate(
-            [np.broadcast_to(common[:, None, :], (k, n, common.shape[1])), direction[:, own].transpose(0, 2, 1)],
-            axis=2,
-        )
         return Figures(
             starts + WINDOW_S,
             self._capacity * tilt - heat,
             direction,
             kick,
-            operating,
-            slice(1, 1 + 2 * rates.shape[1]),
+            average[:, -c:],
+            WINDOW_S * np.concatenate([rate[:, -c:], tilt], axis=1),
             share >= 1.0 - MOST_MISSING,
         )
 
@@ -245,7 +234,8 @@ def latest(figures: Figures, count: int) -> Figures:
         end_s=figures.end_s[-count:],
         power=figures.power[-count:],
         direction=figures.direction[-count:],
-        operating=figures.operating[-count:],
+        levels=figures.levels[-count:],
+        rates=figures.rates[-count:],
         valid=figures.valid[-count:],
     )
 

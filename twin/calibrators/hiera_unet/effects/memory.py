@@ -1,6 +1,7 @@
 """Memory of a healthy record: the power that a twin lacks in health, by operating point, and its covariance.
 
-The power at each node is regressed on the operating point (Bayesian linear regression; the prior's precision maximises
+The power at each node is regressed on the operating point: inputs, their rates and their distance from their own past.
+Readings are not among the regressors, since the power itself is a linear function of them. (Bayesian linear regression; the prior's precision maximises
 the marginal likelihood: Bishop, Pattern Recognition and Machine Learning, 2006, sec. 3.5). Residuals come from ten
 contiguous folds. Their variance grows with the rates of the operating point, since a lumped twin errs most in
 transitions: v (1 + b q), with q the mean square of the rates in healthy standard deviations and b of maximum
@@ -42,7 +43,9 @@ class Memory:
     Attributes
     ----------
     centre, scale
-        Mean and standard deviation of the operating point (N, X).
+        Mean and standard deviation of the operating point (X,).
+    usual
+        Root mean square of the rates of inputs and temperatures (c + N,).
     weight
         Weights of the regression (N, X), W.
     spread
@@ -55,19 +58,19 @@ class Memory:
 
     centre: Array
     scale: Array
+    usual: Array
     weight: Array
     spread: Array
     unrest: Array
     rate: Array
 
     def read(self, figures: Figures) -> tuple[Array, Array, Array]:
-        """Return the power beyond that of health (K, N), W, the operating point in deviations (K, N, X), and the
-        variance of each node over that at rest (K, N).
+        """Return the power beyond that of health (K, N), W, the operating point in deviations (K, X), and the variance
+        of each node over that at rest (K, N).
         """
-        raw = (_operating(figures) - self.centre) / self.scale
-        point = np.clip(raw, -FAR, FAR)
-        growth = 1.0 + self.unrest * _unrest(raw, figures.moving)
-        return figures.power - np.einsum("knx,nx->kn", point, self.weight), point, growth
+        point = np.clip((_operating(figures) - self.centre) / self.scale, -FAR, FAR)
+        growth = 1.0 + self.unrest * _unrest(figures, self.usual)[:, None]
+        return figures.power - point @ self.weight.T, point, growth
 
 
 def learn(figures: Figures) -> Memory:
@@ -86,31 +89,33 @@ def learn(figures: Figures) -> Memory:
         )
     power, operating = figures.power[valid], _operating(figures)[valid]
     centre, scale = operating.mean(axis=0), operating.std(axis=0)
-    # A constant column is the intercept, once; a column that stands still in health teaches nothing.
+    # A column that stands still in health teaches nothing; the first one is the intercept.
     still = scale <= 1e-9 * np.maximum(np.abs(centre), 1e-6)
     scale = np.where(still, np.inf, scale)
+    centre[0], scale[0] = 0.0, 1.0
     point = (operating - centre) / scale
-    point[:, :, 0] = 1.0
-    centre[:, 0], scale[:, 0] = 0.0, 1.0
     nodes = power.shape[1]
     fold = np.arange(count) * FOLDS // count
-    weight, spread = np.empty(point.shape[1:]), np.empty((*point.shape[1:], point.shape[2]))
+    weight, spread = np.empty((nodes, point.shape[1])), np.empty((nodes, point.shape[1], point.shape[1]))
     left = np.empty_like(power)
     for i in range(nodes):
-        precision = _best_precision(point[:, i], power[:, i])
-        weight[i], spread[i] = _fitted(point[:, i], power[:, i], precision)
+        precision = _best_precision(point, power[:, i])
+        weight[i], spread[i] = _fitted(point, power[:, i], precision)
         for f in range(FOLDS):
             out = fold == f
-            partly, _ = _fitted(point[~out, i], power[~out, i], precision)
-            left[out, i] = power[out, i] - point[out, i] @ partly
-    q = _unrest(point, figures.moving)
-    unrest = np.array([_best_growth(q[:, i], left[:, i]) for i in range(nodes)])
-    return Memory(centre, scale, weight, spread, unrest, _rates(left / np.sqrt(1.0 + unrest * q)))
+            partly, _ = _fitted(point[~out], power[~out, i], precision)
+            left[out, i] = power[out, i] - point[out] @ partly
+    usual = np.sqrt(np.mean(figures.rates[valid] ** 2, axis=0))
+    usual = np.where(usual > 0.0, usual, np.inf)
+    q = _unrest(figures, usual)[valid]
+    unrest = np.array([_best_growth(q, left[:, i]) for i in range(nodes)])
+    return Memory(centre, scale, usual, weight, spread, unrest, _rates(left / np.sqrt(1.0 + np.outer(q, unrest))))
 
 
-def _unrest(point: Array, moving: slice) -> Array:
-    """Return the mean square (K, N) of the rates."""
-    found: Array = np.mean(np.minimum(point[:, :, moving] ** 2, MOST_UNREST), axis=2)
+def _unrest(figures: Figures, usual: Array) -> Array:
+    """Return the mean square (K,) of the rates in this window and the one before, over the usual one."""
+    square = np.minimum((figures.rates / usual) ** 2, MOST_UNREST).mean(axis=1)
+    found: Array = 0.5 * (square + np.concatenate([square[:1], square[:-1]]))
     return found
 
 
@@ -126,20 +131,20 @@ def _best_growth(q: Array, left: Array) -> float:
 
 
 def _operating(figures: Figures) -> Array:
-    """Return the operating point with the distance of inputs and temperatures from their own past, (K, N, X).
+    """Return the operating point (K, X): 1, inputs, their rates now and a window ago, their distance from their past.
 
     Metal, layers and water on its way follow a change over minutes to hours, which a lumped twin does not.
     """
-    width = (figures.moving.stop - 1) // 2
-    level = figures.operating[:, 0, figures.moving.stop : figures.moving.stop + width]
-    found = [figures.operating]
+    level = figures.levels
+    rate = figures.rates[:, : level.shape[1]]
+    found = [np.ones((len(level), 1)), level, rate, np.vstack([rate[:1], rate[:-1]])]
     for constant in PAST_S:
         keep = np.exp(-EVERY_S / constant)
         slow = level.copy()
         for k in range(1, len(slow)):
             slow[k] = keep * slow[k - 1] + (1.0 - keep) * level[k]
-        found.append(np.broadcast_to((level - slow)[:, None], (*figures.operating.shape[:2], width)))
-    return np.concatenate(found, axis=2)
+        found.append(level - slow)
+    return np.concatenate(found, axis=1)
 
 
 def _fitted(x: Array, y: Array, precision: float) -> tuple[Array, Array]:

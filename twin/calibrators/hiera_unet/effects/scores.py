@@ -84,7 +84,7 @@ def window_scores(figures: Figures, memory: Memory) -> Scores:
     cross = _cumulated(d[:, :, :, None] * r[:, None, None, :])
     square = _cumulated(d[:, :, :, None] * d[:, :, None, :])
     power = _cumulated(r[:, :, None] * r[:, None, :])
-    points = _cumulated(point * valid[:, None, None])
+    points = _cumulated(point * valid[:, None])
     z, information = np.empty((k, h, len(LAGS))), np.empty((k, h, len(LAGS)))
     misfit, count = np.empty((k, len(LAGS))), np.empty((k, len(LAGS)))
     novelty = np.zeros(k)
@@ -92,8 +92,8 @@ def window_scores(figures: Figures, memory: Memory) -> Scores:
     for j, m in enumerate(LAGS):
         first = np.maximum(at + 1 - m, 0)
         length = (at + 1 - first).astype(np.float64)
-        mean = (points[at + 1] - points[first]) / length[:, None, None]
-        open_ = np.einsum("knx,nxy,kny->kn", mean, memory.spread, mean)
+        mean = (points[at + 1] - points[first]) / length[:, None]
+        open_ = np.einsum("kx,nxy,ky->kn", mean, memory.spread, mean)
         covariance = memory.rate[j] + np.eye(n) * (length[:, None] * open_)[:, :, None]
         inverse = np.linalg.inv(covariance)
         if m == 1:
