@@ -15,7 +15,7 @@ one, so a sum over windows is the balance of the whole time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -60,6 +60,11 @@ class Hypothesis:
     def named(self) -> str:
         """Return the kind in the words of a diagnosis."""
         return NAMED.get(self.kind, self.kind)
+
+    @property
+    def unit(self) -> str:
+        """Return the unit of its size."""
+        return UNITS.get(self.kind, "1")
 
 
 @dataclass(frozen=True)
@@ -225,19 +230,6 @@ class Balance:
             inputs[:, j] *= 1.0 + _SHARE
             found.append((heats(inputs=inputs) - base) / _SHARE)
         return np.concatenate([*found, u], axis=1)
-
-
-def latest(figures: Figures, count: int) -> Figures:
-    """Return the last windows of a record."""
-    return replace(
-        figures,
-        end_s=figures.end_s[-count:],
-        power=figures.power[-count:],
-        direction=figures.direction[-count:],
-        levels=figures.levels[-count:],
-        rates=figures.rates[-count:],
-        valid=figures.valid[-count:],
-    )
 
 
 def _on_grid(time_s: Array, inputs: Array, measured: Array) -> tuple[Array, Array, Array, Array]:
