@@ -158,7 +158,7 @@ class Balance:
             Hypothesis("actuator", self.network.input_columns[j].rsplit("_", 1)[0]) for j in self._heaters
         ]
 
-    def figures(self, time_s: Array, inputs: Array, measured: Array) -> Figures:
+    def figures(self, time_s: Array, inputs: Array, measured: Array, begin_s: float | None = None) -> Figures:
         """Return the figures of a record's windows; each depends on the samples before its end alone.
 
         Parameters
@@ -167,14 +167,17 @@ class Balance:
             Time of the samples (n,), s, increasing.
         inputs, measured
             Inputs (n, c) and readings (n, m), degC, in the network's order; NaN where missing.
+        begin_s
+            Begin of the first window, at most the first time; that by default.
 
         Raises
         ------
         HieraError
             The record is shorter than a window.
         """
-        t, u, y, seen = _on_grid(time_s, inputs, measured)
-        starts = np.arange(t[0], time_s[-1] - WINDOW_S + 1e-6, EVERY_S)
+        begin = float(time_s[0]) if begin_s is None else begin_s
+        t, u, y, seen = _on_grid(time_s, inputs, measured, begin)
+        starts = np.arange(begin, time_s[-1] - WINDOW_S + 1e-6, EVERY_S)
         if not len(starts):
             raise HieraError(f"the record has {time_s[-1] - time_s[0]:g} s; give at least {WINDOW_S:g} s")
         temperature = np.stack([y[:, mine].mean(axis=1) for mine in self._readings], axis=1)
@@ -232,11 +235,11 @@ class Balance:
         return np.concatenate([*found, u], axis=1)
 
 
-def _on_grid(time_s: Array, inputs: Array, measured: Array) -> tuple[Array, Array, Array, Array]:
+def _on_grid(time_s: Array, inputs: Array, measured: Array, begin: float) -> tuple[Array, Array, Array, Array]:
     """Return times (g,), inputs, readings on an even grid, and the share of finite samples (g,); gaps hold the last."""
     period = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
     step = max(int(GRID_S / period), 1) * period
-    place = np.floor((time_s - time_s[0]) / step + 1e-6).astype(np.intp)
+    place = np.floor((time_s - begin) / step + 1e-6).astype(np.intp)
     count = int(place[-1]) + 1
     both = np.concatenate([inputs, measured], axis=1)
     finite = np.isfinite(both)
@@ -249,7 +252,7 @@ def _on_grid(time_s: Array, inputs: Array, measured: Array) -> tuple[Array, Arra
     for j in range(mean.shape[1]):
         mean[:, j] = _held(mean[:, j])
     c = inputs.shape[1]
-    return time_s[0] + (np.arange(count) + 0.5) * step, mean[:, :c], mean[:, c:], seen
+    return begin + (np.arange(count) + 0.5) * step, mean[:, :c], mean[:, c:], seen
 
 
 def _held(values: Array) -> Array:

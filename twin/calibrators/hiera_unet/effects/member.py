@@ -147,6 +147,8 @@ def load_effects(path: Path) -> EffectsMember:
             )
         network.load_state_dict(load_file(path))
         numbers = [float(document[name]) for name in ("threshold", "since_factor", "size_factor")]
+    except HieraError:
+        raise
     except FileNotFoundError as error:
         raise HieraError(f"the weights {path} are missing; put them beside {card}", code="MISSING_MEMBER") from error
     except (OSError, SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:

@@ -91,13 +91,14 @@ class EffectsWatch:
         if not len(time_s):
             return ()
         self._rest = time_s, inputs, measured
-        if time_s[-1] - time_s[0] < WINDOW_S:
+        begin = float(time_s[0]) if self._begin is None else self._begin
+        if time_s[-1] - begin < WINDOW_S:
             return ()
-        new_figures = self.balance.figures(time_s, inputs, measured)
+        new_figures = self.balance.figures(time_s, inputs, measured, begin)
         count = len(new_figures.end_s)
         self._figures = _joined(self._figures, new_figures)
-        begin = time_s[0] + count * EVERY_S
-        late = time_s >= begin - 1e-6
+        self._begin = begin + count * EVERY_S
+        late = time_s >= self._begin - 1e-6
         self._rest = time_s[late], inputs[late], measured[late]
         return self._answers(count)
 
