@@ -61,11 +61,13 @@ def effects_command(
     """
     from dataclasses import replace
 
-    from hil.bench.effects import store, training as session, trial
+    from hil.bench.effects import store, trial
+    from hil.bench.effects import training as session
     from hil.run.session import ProgressBar
     from hil.training import Stop
     from twin.calibrators.hiera_unet.effects.member import load_effects
 
+    member = None if training else load_effects(network)
     splits = [replace(s, rigs=min(s.rigs, QUICK_RIGS)) for s in store.SPLITS] if quick else list(store.SPLITS)
     request = session.EffectsRequest(
         session.EffectsPlan(steps=steps, seed=seed), data, data.with_name(f"{data.name}_{seed}"), network, _typed()
@@ -85,7 +87,7 @@ def effects_command(
                 _continue()
             click.echo(str(card))
             return
-    member = load_effects(network)
+    assert member is not None
     done = trial.judge_all(data, member, lambda text: click.echo(text, err=True))
     more = trial.further_tables(data, member, diagnosed, lambda text: click.echo(text, err=True))
     finish("effects", seed, (*trial.tables(done), *more), (), out, as_json)

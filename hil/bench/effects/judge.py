@@ -16,7 +16,7 @@ from twin.calibrators.hiera_unet.effects.courses import Course
 
 DAY_S = 86_400.0
 VISIBLE = 10.0
-"""True score of the first two windows from which a case is visible: that from which the zoo counts an effect as shown."""
+"""True score of the first two windows from which a case is visible: the zoo counts an effect as shown from it on."""
 SAME_S = 7200.0
 """Warnings less than this apart are one alarm."""
 FALSE_A_DAY = 0.01

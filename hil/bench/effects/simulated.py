@@ -109,7 +109,9 @@ def make_rig(family: str, seed: int) -> Rig:
     return Rig(family, seed, plant, usual, fit, healthy, balance, figures)
 
 
-def make_records(rig: Rig, count: int, effects: tuple[str, ...] = (), *, kept: list[Record] | None = None) -> list[Watched]:
+def make_records(
+    rig: Rig, count: int, effects: tuple[str, ...] = (), *, kept: list[Record] | None = None
+) -> list[Watched]:
     """Return records of a rig, each with an effect of its own.
 
     Parameters
@@ -133,9 +135,7 @@ def make_records(rig: Rig, count: int, effects: tuple[str, ...] = (), *, kept: l
 def _record(rig: Rig, rng: np.random.Generator, wanted: str, kept: list[Record] | None) -> Watched:
     plant, network = rig.plant, rig.network
     hours = min(float(rng.uniform(*RECORD_H)), rig.usual.period_s * MOST_ROWS / HOUR_S)
-    schedule = Schedule(
-        str(rng.choice(KINDS)), rig.usual.pump_varies, rig.usual.fan_varies, hours, rig.usual.period_s
-    )
+    schedule = Schedule(str(rng.choice(KINDS)), rig.usual.pump_varies, rig.usual.fan_varies, hours, rig.usual.period_s)
     drive = draw_drive(schedule, plant.full_w, len(plant.pumps), rng)
     onset = 0.0 if rng.random() < ALL_ALONG else float(rng.uniform(0.15, 0.6)) * schedule.hours * HOUR_S
     t = schedule.times
@@ -179,9 +179,7 @@ def _record(rig: Rig, rng: np.random.Generator, wanted: str, kept: list[Record] 
         "load": schedule.kind,
     }
     size, unit = _true_size(injection, amount, (shown, calm_shown), t, figures.end_s)
-    return Watched(
-        figures, rig.balance.figures(t, *network.select(without.columns)), {**truth, "unit": unit}, size
-    )
+    return Watched(figures, rig.balance.figures(t, *network.select(without.columns)), {**truth, "unit": unit}, size)
 
 
 def _chosen(scene: Scene, wanted: str) -> tuple[str, Injection]:
@@ -217,8 +215,8 @@ def _up_to(
 ) -> float:
     """Return the true score of the change up to a time: later samples as without the effect."""
     late = t > until_s
-    cut = [np.where(late[:, None], b, a) for a, b in zip(changed, still, strict=True)]
-    return ruler.scores(*cut, *still)[0]
+    readings, inputs = (np.where(late[:, None], b, a) for a, b in zip(changed, still, strict=True))
+    return ruler.scores(readings, inputs, *still)[0]
 
 
 def _acts_s(t: Array, changed: tuple[dict[str, Array], ...], still: tuple[dict[str, Array], ...]) -> float:
@@ -245,7 +243,7 @@ def _true_size(
         (column,) = injection.readings
         course, unit = shown[0][column] - shown[1][column], "K"
     elif injection.modifiers and all(m.target == HEAT and m.law == ALWAYS for m in injection.modifiers):
-        course, unit = amount * sum(np.asarray(m.amplitude) for m in injection.modifiers), "W"
+        course, unit = amount * np.sum([m.amplitude for m in injection.modifiers], axis=0), "W"
     if course is None:
         return np.full(len(end_s), np.nan), ""
     total = np.concatenate([[0.0], np.cumsum(np.broadcast_to(course, len(t)))])

@@ -59,9 +59,7 @@ def planned(split: Split, seed: int) -> list[tuple[str, int]]:
     return [(split.families[k % len(split.families)], first + k) for k in range(split.rigs)]
 
 
-def fill(
-    folder: Path, split: Split, seed: int, *, say: Callable[[int, str], None], over: Callable[[], bool]
-) -> bool:
+def fill(folder: Path, split: Split, seed: int, *, say: Callable[[int, str], None], over: Callable[[], bool]) -> bool:
     """Make the missing rigs of a split; return False if `over` ended the work before it was done."""
     usual = [e.name for e in EFFECTS if not e.reserved]
     order = np.random.default_rng([seed, len(split.name)]).permutation(len(usual))
@@ -72,7 +70,9 @@ def fill(
                 return False
             rig = make_rig(family, own)
             wanted = tuple(usual[order[(k * split.records + j) % len(usual)]] for j in range(split.records))
-            _write(path, StoredRig(rig.balance.hypotheses, rig.usually, tuple(make_records(rig, split.records, wanted))))
+            _write(
+                path, StoredRig(rig.balance.hypotheses, rig.usually, tuple(make_records(rig, split.records, wanted)))
+            )
         say(k + 1, family)
     return True
 

@@ -48,10 +48,11 @@ def simulate(request: EffectsRequest, splits: Sequence[Split], *, over: Callable
     """Make the missing rigs; return False if `over` ended the work before."""
     done = 0
     for split in splits:
-        before = done
-        if not fill(
-            request.data, split, request.data_seed, over=over, say=lambda k, note, b=before: say(b + k, note)
-        ):
+
+        def told(k: int, note: str, before: int = done) -> None:
+            say(before + k, note)
+
+        if not fill(request.data, split, request.data_seed, over=over, say=told):
             return False
         done += split.rigs
     return True
@@ -122,19 +123,19 @@ def cases_of(member: EffectsMember, rigs: Iterator[StoredRig]) -> list[Case]:
     for rig in rigs:
         memory = rig.memory()
         for record in rig.records:
-            courses = [
+            course, calm = (
                 member.course(window_scores(figures, memory), rig.hypotheses)
                 for figures in (record.figures, record.calm)
-            ]
-            found.append(Case(*courses, rig.hypotheses, record))
+            )
+            found.append(Case(course, calm, rig.hypotheses, record))
     return found
 
 
 def calibrate(member: EffectsMember, cases: Sequence[Case]) -> EffectsMember:
     """Return the network with the threshold and interval factors of records that it was not trained on.
 
-    The threshold is the least with at most `FALSE_A_DAY` false alarms a day. A factor is the quantile of the errors over
-    the network's scale, with one error a record (split conformal prediction, Vovk et al. 2005).
+    The threshold is the least with at most `FALSE_A_DAY` false alarms a day. A factor is the quantile of the errors
+    over the network's scale, with one error a record (split conformal prediction, Vovk et al. 2005).
     """
     calm = [(c.calm, c.record.calm.end_s) for c in cases]
     threshold = threshold_for(calm)

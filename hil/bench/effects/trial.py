@@ -15,10 +15,10 @@ from hil.bench.effects.judge import FALSE_A_DAY, VISIBLE, Case, Outcome, judged,
 from hil.bench.effects.simulated import UNSEEN, make_records, make_rig
 from hil.bench.effects.store import SPLITS, Split, StoredRig, planned, read
 from hil.bench.effects.training import cases_of
+from hil.bench.measure import Cell, ReportTable, median
 from hil.bench.zoo.plants import START_H
 from hil.diagnosis import columns_of, with_clock
 from hil.record import Record
-from hil.bench.measure import Cell, ReportTable, median
 from twin.calibrators.hiera_unet.effects.balance import EVERY_S
 from twin.calibrators.hiera_unet.effects.courses import linear_course
 from twin.calibrators.hiera_unet.effects.member import EffectsMember
@@ -51,8 +51,8 @@ def linear_cases(rigs: Iterator[StoredRig]) -> list[Case]:
     for rig in rigs:
         memory = rig.memory()
         for record in rig.records:
-            courses = [linear_course(window_scores(f, memory)) for f in (record.figures, record.calm)]
-            found.append(Case(*courses, rig.hypotheses, record))
+            course, calm = (linear_course(window_scores(f, memory)) for f in (record.figures, record.calm))
+            found.append(Case(course, calm, rig.hypotheses, record))
     return found
 
 
@@ -93,9 +93,7 @@ def pooled(done: Sequence[Judged]) -> list[Judged]:
         mine = [j for j in done if j.method == method]
         outcomes = [o for j in mine for o in j.outcomes]
         found.append(
-            Judged(
-                method, "all", mine[0].threshold, outcomes, sum(j.false for j in mine), sum(j.days for j in mine)
-            )
+            Judged(method, "all", mine[0].threshold, outcomes, sum(j.false for j in mine), sum(j.days for j in mine))
         )
     return found
 
@@ -164,7 +162,11 @@ def _found(done: Sequence[Judged], both: Sequence[Judged]) -> ReportTable:
     return ReportTable("found", "Found within two windows", columns, tuple(rows), ("delay: median of all warnings",))
 
 
-_PLANTS = {"all": "all", "test_seen": "families of the training", "test_unseen": f"unseen families ({', '.join(UNSEEN)})"}
+_PLANTS = {
+    "all": "all",
+    "test_seen": "families of the training",
+    "test_unseen": f"unseen families ({', '.join(UNSEEN)})",
+}
 
 
 def _false(done: Sequence[Judged], both: Sequence[Judged]) -> ReportTable:
@@ -310,7 +312,9 @@ def _latency(member: EffectsMember) -> ReportTable:
             took.append(1e3 * (time.perf_counter() - began))
     rows.append((len(rig.balance.hypotheses), len(record.time_s), median(took), float(np.max(took))))
     columns = ("hypotheses", "samples of the record", "ms", "longest, ms")
-    return ReportTable("latency", "Latency of one look on one thread", columns, tuple(rows), (f"{member.network.count()} weights",))
+    return ReportTable(
+        "latency", "Latency of one look on one thread", columns, tuple(rows), (f"{member.network.count()} weights",)
+    )
 
 
 def _agreement(folder: Path, member: EffectsMember, count: int, say: Callable[[str], None]) -> ReportTable:
@@ -325,7 +329,9 @@ def _agreement(folder: Path, member: EffectsMember, count: int, say: Callable[[s
             say(f"diagnosed {len(rows)} of {count}")
     columns = ("plant", "truth", "accepted", "network", "diagnosis", "verdict", "same place")
     same = sum(row[-1] == "yes" for row in rows)
-    return ReportTable("agreement", "Agreement with the diagnosis", columns, tuple(rows), (f"{same} of {len(rows)} agree",))
+    return ReportTable(
+        "agreement", "Agreement with the diagnosis", columns, tuple(rows), (f"{same} of {len(rows)} agree",)
+    )
 
 
 def _compared(split: Split, k: int, stored: StoredRig, member: EffectsMember) -> tuple[Cell, ...] | None:
@@ -343,9 +349,7 @@ def _compared(split: Split, k: int, stored: StoredRig, member: EffectsMember) ->
     index = stored.records.index(case)
     make_records(rig, index + 1, tuple(str(r.truth["effect"]) for r in stored.records), kept=kept)
     clocked = with_clock(rig.network)
-    answer = diagnose(
-        clocked, columns_of(clocked, kept[index], START_H), columns_of(clocked, rig.healthy, START_H)
-    )
+    answer = diagnose(clocked, columns_of(clocked, kept[index], START_H), columns_of(clocked, rig.healthy, START_H))
     place = answer.effects[0].where if answer.effects else "-"
     return (
         f"{split.name} {k}, {case.truth['family']}",

@@ -25,7 +25,7 @@ def twin() -> Network:
 def record(
     hours: float, seed: int, power_W: float = 0.0, since_s: float = 0.0, bias_K: float = 0.0
 ) -> tuple[Array, Array, Array]:
-    """Return time, inputs and readings; `power_W` enters the modules, `bias_K` the tank's thermometer, from `since_s` on."""
+    """Return time, inputs and readings: `power_W` enters the modules from `since_s` on, `bias_K` the tank's reading."""
     rng = np.random.default_rng(seed)
     network = twin()
     t = np.arange(0.0, 3600.0 * hours + 0.5 * PERIOD_S, PERIOD_S)

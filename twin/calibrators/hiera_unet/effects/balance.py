@@ -22,6 +22,7 @@ import numpy as np
 from twin.calibrators.hiera_unet.model.config import HieraError
 from twin.discovery.effects.formulas import Formulas
 from twin.elements.flow import Flow
+from twin.elements.sensor import Sensor
 from twin.network import Array, Network
 
 WINDOW_S, EVERY_S = 600.0, 300.0
@@ -112,16 +113,14 @@ class Balance:
         self._formulas = Formulas(network)
         self._capacity = network.values[network.index([f"{n}.capacitance" for n in network.nodes])]
         self._sensors = [
-            (j, s.name, network.nodes.index(s.node))
-            for j, s in enumerate(network.instruments)
-            if getattr(s, "node", "") in network.nodes
+            (j, s.name, network.nodes.index(s.node)) for j, s in enumerate(network.instruments) if isinstance(s, Sensor)
         ]
         self._readings = [[j for j, _, k in self._sensors if k == node] for node in range(len(network.nodes))]
         without = [n for n, mine in zip(network.nodes, self._readings, strict=True) if not mine]
         if without:
             raise HieraError(
-                f"twin {network.name!r} has no thermometer at {', '.join(without)}; the network of effects needs one at "
-                "each node",
+                f"twin {network.name!r} has no thermometer at {', '.join(without)}; the network of effects needs "
+                "one at each node",
                 code="OTHER_TWIN",
             )
         self._room = network.input_columns.index(network.room) if network.room else None
@@ -154,9 +153,7 @@ class Balance:
         found += [Hypothesis("sensor", name) for _, name, _ in self._sensors]
         found += [Hypothesis("room", self.network.room)] if self.network.room else []
         found += [Hypothesis(kind, where) for kind, where, _ in self._changes]
-        return found + [
-            Hypothesis("actuator", self.network.input_columns[j].rsplit("_", 1)[0]) for j in self._heaters
-        ]
+        return found + [Hypothesis("actuator", self.network.input_columns[j].rsplit("_", 1)[0]) for j in self._heaters]
 
     def figures(self, time_s: Array, inputs: Array, measured: Array, begin_s: float | None = None) -> Figures:
         """Return the figures of a record's windows; each depends on the samples before its end alone.
@@ -252,7 +249,8 @@ def _on_grid(time_s: Array, inputs: Array, measured: Array, begin: float) -> tup
     for j in range(mean.shape[1]):
         mean[:, j] = _held(mean[:, j])
     c = inputs.shape[1]
-    return begin + (np.arange(count) + 0.5) * step, mean[:, :c], mean[:, c:], seen
+    t = np.asarray(begin + (np.arange(count) + 0.5) * step, dtype=np.float64)
+    return t, mean[:, :c], mean[:, c:], seen
 
 
 def _held(values: Array) -> Array:

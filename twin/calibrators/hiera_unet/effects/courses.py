@@ -1,4 +1,4 @@
-"""Course of a warning over a record: how strongly, where, of which kind, how much and since when; and the linear rival."""
+"""Course of a warning over a record: strength, place, kind, size and onset; and the linear rival."""
 
 from __future__ import annotations
 

@@ -17,10 +17,9 @@ from safetensors.torch import load_file, save_file
 from twin.calibrators.hiera_unet.effects.balance import EVERY_S, KINDS, WINDOW_S, Hypothesis
 from twin.calibrators.hiera_unet.effects.courses import Course, place_sums
 from twin.calibrators.hiera_unet.effects.memory import LAGS
-from twin.calibrators.hiera_unet.effects.network import EffectsConfig, EffectsNetwork
+from twin.calibrators.hiera_unet.effects.network import LEAST_SCALE, EffectsConfig, EffectsNetwork
 from twin.calibrators.hiera_unet.effects.scores import Scores
 from twin.calibrators.hiera_unet.effects.tokens import WIDTH, tokens
-from twin.calibrators.hiera_unet.effects.train import LEAST_SCALE
 from twin.calibrators.hiera_unet.model.config import HieraError
 from twin.network import Array
 from twin.regular_file import MOST_WEIGHTS, read_regular
@@ -137,7 +136,9 @@ def load_effects(path: Path) -> EffectsMember:
             f"model card {card} has format {document.get('format')}, not {FORMAT}; {train}", code="OTHER_FORMAT"
         )
     if document.get("table") != TABLE:
-        raise HieraError(f"the weights of model card {card} were trained with other tokens; {train}", code="OTHER_TABLE")
+        raise HieraError(
+            f"the weights of model card {card} were trained with other tokens; {train}", code="OTHER_TABLE"
+        )
     try:
         network = EffectsNetwork(EffectsConfig(**document["config"]))
         if _digest(path) != document["weights"]["sha256"]:
@@ -146,14 +147,14 @@ def load_effects(path: Path) -> EffectsMember:
                 code="OTHER_MEMBER",
             )
         network.load_state_dict(load_file(path))
-        numbers = [float(document[name]) for name in ("threshold", "since_factor", "size_factor")]
+        threshold, since, size = (float(document[name]) for name in ("threshold", "since_factor", "size_factor"))
     except HieraError:
         raise
     except FileNotFoundError as error:
         raise HieraError(f"the weights {path} are missing; put them beside {card}", code="MISSING_MEMBER") from error
     except (OSError, SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
         raise HieraError(f"the weights {path} do not fit model card {card} ({error}); {train}") from error
-    return EffectsMember(network.eval(), *numbers, document)
+    return EffectsMember(network.eval(), threshold, since, size, document)
 
 
 def _digest(path: Path) -> str:

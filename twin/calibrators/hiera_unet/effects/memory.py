@@ -1,12 +1,13 @@
 """Memory of a healthy record: the power that a twin lacks in health, by operating point, and its covariance.
 
 The power at each node is regressed on the operating point: inputs, their rates and their distance from their own past.
-Readings are not among the regressors, since the power itself is a linear function of them. (Bayesian linear regression; the prior's precision maximises
-the marginal likelihood: Bishop, Pattern Recognition and Machine Learning, 2006, sec. 3.5). Residuals come from ten
-contiguous folds. Their variance grows with the rates of the operating point, since a lumped twin errs most in
-transitions: v (1 + b q), with q the mean square of the rates in healthy standard deviations and b of maximum
-likelihood. Their autocorrelation enters the variance of a sum of m windows by Bartlett's weights (Newey and West,
-Econometrica 55 (1987) 703).
+Readings are no regressors, since the power itself is a linear function of them. The regression is Bayesian; its prior's
+precision has the largest marginal likelihood (Bishop, Pattern Recognition and Machine Learning, 2006, sec. 3.5).
+
+Residuals come from ten contiguous folds. Their variance grows in transitions, in which a lumped twin errs most:
+v (1 + b q), with q the mean square of the rates over their usual one and b of the largest likelihood. Their
+autocorrelation enters the variance of a sum of m windows by Bartlett's weights (Newey and West, Econometrica 55 (1987)
+703).
 """
 
 from __future__ import annotations

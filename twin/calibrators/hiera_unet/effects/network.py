@@ -17,6 +17,8 @@ from twin.calibrators.hiera_unet.effects.tokens import WIDTH
 
 KERNEL = 3
 DILATIONS = (1, 3)
+LEAST_SCALE = -4.0
+"""Least logarithm of a scale."""
 REACH = sum((KERNEL - 1) * d for d in DILATIONS)
 """Earlier windows that an answer depends on, beside the scores' own."""
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.calibrators.hiera_unet.effects.balance import EVERY_S, Figures
 from twin.calibrators.hiera_unet.effects.memory import LAGS, Memory
@@ -22,6 +23,7 @@ from twin.network import Array
 
 NOTHING = 1e-18
 """Information of a hypothesis that a window does not show, over the square of its unit."""
+Index = NDArray[np.intp]
 HOUR = 12
 """Windows in an hour."""
 QUIET = 4
@@ -68,7 +70,9 @@ class Scores:
     @property
     def size(self) -> Array:
         """Return fitted sizes (K, H, M) in the units of the hypotheses."""
-        found: Array = np.where(self.information > NOTHING, self.z / np.sqrt(np.maximum(self.information, NOTHING)), 0.0)
+        found: Array = np.where(
+            self.information > NOTHING, self.z / np.sqrt(np.maximum(self.information, NOTHING)), 0.0
+        )
         return found
 
 
@@ -98,7 +102,7 @@ def window_scores(figures: Figures, memory: Memory) -> Scores:
         inverse = np.linalg.inv(covariance)
         if m == 1:
             novelty = (open_ / np.diagonal(memory.rate[j])).mean(axis=1)
-        onset = figures.kick / EVERY_S * np.where(at > first, 0.5, 1.0)[:, None, None] * calm[first][:, None, :]
+        onset: Array = figures.kick / EVERY_S * np.where(at > first, 0.5, 1.0)[:, None, None] * calm[first][:, None, :]
         dr = cross[at + 1] - cross[first] + onset[:, :, :, None] * _mean_of(r, first, at)[:, None, None, :]
         dd = square[at + 1] - square[first] + _kick_squares(d, onset, first, at)
         pulled = np.einsum("kij,khij->kh", inverse, dr)
@@ -134,13 +138,13 @@ def _cumulated(values: Array) -> Array:
     return np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
 
 
-def _mean_of(r: Array, first: Array, at: Array) -> Array:
+def _mean_of(r: Array, first: Index, at: Index) -> Array:
     """Return the sum of the powers (k, n) of the window of the onset and the next one."""
     second = np.minimum(first + 1, at)
     return r[first] + np.where(second > first, 1.0, 0.0)[:, None] * r[second]
 
 
-def _kick_squares(d: Array, onset: Array, first: Array, at: Array) -> Array:
+def _kick_squares(d: Array, onset: Array, first: Index, at: Index) -> Array:
     """Return what the step at the onset adds to the squares of the direction (k, h, n, n)."""
     second = np.minimum(first + 1, at)
     two = np.where(second > first, 1.0, 0.0)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from twin.calibrators.hiera_unet.effects.labels import Example
 from twin.calibrators.hiera_unet.effects.memory import LAGS
-from twin.calibrators.hiera_unet.effects.network import REACH, Answers, EffectsConfig, EffectsNetwork
+from twin.calibrators.hiera_unet.effects.network import LEAST_SCALE, REACH, Answers, EffectsConfig, EffectsNetwork
 from twin.calibrators.hiera_unet.effects.tokens import WIDTH
 from twin.calibrators.hiera_unet.model.config import HieraError
 
@@ -23,7 +23,6 @@ EARLY, LATE = 12, 0.3
 """Windows after the onset that count in full, and the share of later ones."""
 KIND, SINCE, SIZE = 0.3, 0.1, 0.1
 """Shares of the kind, the onset and the size in the loss."""
-LEAST_SCALE = -4.0
 
 
 @dataclass(frozen=True)
@@ -177,7 +176,9 @@ def loss(answers: Answers, batch: _Batch) -> dict[str, Tensor]:
     parts["kind"] = -_mean((exact - right).clamp_min(-20.0), shown * has_kind)
     at = batch.place[:, None].expand_as(answers.since)
     each = (shown * (batch.since <= LAGS[-1]))[..., None] * at
-    parts["since"] = _mean(_laplace(batch.since.clamp_min(0.3).log()[..., None] - answers.since, answers.since_scale), each)
+    parts["since"] = _mean(
+        _laplace(batch.since.clamp_min(0.3).log()[..., None] - answers.since, answers.since_scale), each
+    )
     fitted = (answers.weight * batch.fitted).sum(dim=-1)
     error = (answers.weight * batch.error).sum(dim=-1) + 0.02 * fitted.abs()
     off = (batch.size.nan_to_num()[..., None] - fitted) / error.clamp_min(1e-9)
