@@ -37,8 +37,9 @@ class Case:
 class Outcome:
     """Outcome of one case at a threshold; `delay_s` None if the effect is not found by the end of the record.
 
-    `right_place`, `right_kind` are those of the first warning after the onset, `intime` whether it came within two
-    windows. `early` is a warning before the onset. Errors are those at the end of the second window.
+    `intime` is True if a warning came within two windows of the onset. `right_place`, `right_kind` and the errors are of
+    the last answer within two windows then, else of the first warning; `right_at_once` is of the first warning in either
+    case. `early` is a warning before the onset.
     """
 
     truth: dict[str, Any]
@@ -46,6 +47,7 @@ class Outcome:
     intime: bool
     right_place: bool
     right_kind: bool
+    right_at_once: bool
     early: bool
     since_error_s: float
     since_inside: bool
@@ -54,7 +56,7 @@ class Outcome:
 
     @property
     def found(self) -> bool:
-        """Return True if the first warning came in time and named the place."""
+        """Return True if a warning came in time and the answer at the end of the second window names the place."""
         return self.intime and self.right_place
 
 
@@ -90,11 +92,15 @@ def outcome(case: Case, threshold: float) -> Outcome:
     on = course.statistic > threshold
     after = np.flatnonzero(on & (end > acts))
     delay = float(end[after[0]] - acts) if after.size else None
-    place = kind = False
+    place = kind = at_once = False
+    intime = delay is not None and delay <= EARLY_S[0]
     since_error = size_error = math.nan
     since_inside = size_inside = False
     if delay is not None:
         k = int(after[0])
+        at_once = case.hypotheses[int(course.hypothesis[k])].where in truth["places"]
+        if intime:
+            k = int(np.searchsorted(end, acts + EARLY_S[0], side="right")) - 1
         named = case.hypotheses[int(course.hypothesis[k])]
         place = named.where in truth["places"]
         kind = [named.named, named.where] in [list(a) for a in truth["answers"]]
@@ -109,9 +115,10 @@ def outcome(case: Case, threshold: float) -> Outcome:
     return Outcome(
         truth,
         delay,
-        delay is not None and delay <= EARLY_S[0],
+        intime,
         place,
         kind,
+        at_once,
         bool((on & (end <= acts)).any()),
         since_error,
         since_inside,

@@ -16,18 +16,21 @@ from hil import __version__
 from hil.bench.effects.judge import FALSE_A_DAY, Case, days, threshold_for
 from hil.bench.effects.simulated import SEEN, Watched
 from hil.bench.effects.store import SPLITS, Split, StoredRig, fill, read
-from twin.calibrators.hiera_unet.effects.labels import Effect, example
+from twin.calibrators.hiera_unet.effects.labels import Effect, Example, cropped, example
 from twin.calibrators.hiera_unet.effects.member import EffectsMember, save_effects
 from twin.calibrators.hiera_unet.effects.scores import window_scores
 from twin.calibrators.hiera_unet.effects.train import EffectsPlan, EffectsTrainer
+from twin.calibrators.hiera_unet.effects.variations import put_in, resized
 from twin.calibrators.hiera_unet.weights.checkpoint import keep, kept
 
 SIZED = {"W": "heat_source", "K": "sensor"}
 """Kind of hypothesis whose size is compared, by the unit of the true one."""
 KEEP_EVERY_S = 60.0
 COVERED = 0.9
-FIRST_HOUR = 12
-"""Windows after the onset whose intervals are calibrated."""
+RESIZED, PUT_IN = 1, 3
+"""Variations of each record with other sizes of its effect, and with other effects."""
+KEPT = 64
+"""Windows about the onset that are kept of each of these."""
 
 Say = Callable[[int, str], None]
 
@@ -58,20 +61,24 @@ def simulate(request: EffectsRequest, splits: Sequence[Split], *, over: Callable
     return True
 
 
-def examples(rigs: Iterator[StoredRig]) -> Iterator[Any]:
-    """Yield the examples of rigs: each record with its effect and without it."""
-    for rig in rigs:
-        memory = rig.memory()
+def examples(rigs: Iterator[StoredRig], seed: int = 0) -> Iterator[Example]:
+    """Yield the examples of rigs: each record without its effect, with it, with other sizes of it and other effects."""
+    for k, rig in enumerate(rigs):
+        memory, rng = rig.memory(), np.random.default_rng([seed, k])
         for record in rig.records:
-            yield example(record.figures, record.calm, memory, rig.hypotheses, effect_of(record))
-            yield example(record.calm, record.calm, memory, rig.hypotheses, None)
+            figures, calm, truth = record.figures, record.calm, effect_of(record)
+            yield example(calm, calm, memory, rig.hypotheses, None)
+            varied = [(figures, truth), *(resized(figures, calm, truth, rng) for _ in range(RESIZED))]
+            varied += [put_in(calm, memory, rig.hypotheses, rng) for _ in range(PUT_IN)]
+            for changed, effect in varied:
+                yield cropped(example(changed, calm, memory, rig.hypotheses, effect), KEPT)
 
 
 def effect_of(record: Watched) -> Effect:
     """Return the truth of a record as a training takes it."""
     truth = record.truth
-    answers = [(str(kind), str(where)) for kind, where in truth["answers"]]
-    return Effect(truth["places"], answers, float(truth["acts_s"]), record.size, SIZED.get(truth["unit"], ""))
+    answers = tuple((str(kind), str(where)) for kind, where in truth["answers"])
+    return Effect(tuple(truth["places"]), answers, float(truth["acts_s"]), record.size, SIZED.get(truth["unit"], ""))
 
 
 def train(request: EffectsRequest, *, over: Callable[[], bool], say: Say) -> Path | None:

@@ -145,6 +145,7 @@ def _found(done: Sequence[Judged], both: Sequence[Judged]) -> ReportTable:
                 share(seen, lambda o: o.intime),
                 share(timely, lambda o: o.right_place),
                 share(timely, lambda o: o.right_kind),
+                share(timely, lambda o: o.right_at_once),
                 median(delays),
             )
         )
@@ -157,9 +158,16 @@ def _found(done: Sequence[Judged], both: Sequence[Judged]) -> ReportTable:
         "warned in time, %",
         "of these place, %",
         "kind and place, %",
+        "place at the first warning, %",
         "delay, min",
     )
-    return ReportTable("found", "Found within two windows", columns, tuple(rows), ("delay: median of all warnings",))
+    return ReportTable(
+        "found",
+        "Found within two windows",
+        columns,
+        tuple(rows),
+        ("place: of the answer at the end of the second window; delay: median of all warnings",),
+    )
 
 
 _PLANTS = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,8 +58,8 @@ class Example:
 class Effect:
     """Truth about the effect of a record: places, answers (kind, place), onset in s, sizes (K,) of a kind."""
 
-    places: Sequence[str]
-    answers: Sequence[tuple[str, str]]
+    places: tuple[str, ...]
+    answers: tuple[tuple[str, str], ...]
     acts_s: float
     size: Array
     sized_kind: str
@@ -82,14 +82,14 @@ def example(
         since = np.maximum(figures.end_s - effect.acts_s, 0.0) / EVERY_S
         acting = since > 0.0
         onset = int(np.argmax(acting)) if acting.any() else k
-        state = np.where(acting, np.where(_shown(figures, calm, memory) >= SEEN, 1, 2), 0)
+        state = np.where(acting, np.where(own_scores(figures, calm, memory) >= SEEN, 1, 2), 0)
         size = effect.size
     error = np.sqrt(scores.past[:, None, None] / np.maximum(scores.information, 1.0 / UNKNOWN**2))
     fitted = np.clip(scores.size, -UNKNOWN, UNKNOWN)
     return Example(tokens(scores, hypotheses), place, kind, state, since, size, sized, fitted, error, onset)
 
 
-def _shown(figures: Figures, calm: Figures, memory: Memory) -> Array:
+def own_scores(figures: Figures, calm: Figures, memory: Memory) -> Array:
     """Return the score of the effect itself (K,): its change of the power over the healthy covariance."""
     _, _, growth = memory.read(figures)
     change = (figures.power - calm.power) / np.sqrt(growth)
@@ -98,3 +98,20 @@ def _shown(figures: Figures, calm: Figures, memory: Memory) -> Array:
     first = np.maximum(np.arange(len(square)) + 1 - LAGS[-1], 0)
     found: Array = np.sqrt(np.maximum(total[1:] - total[first], 0.0))
     return found
+
+
+def cropped(one: Example, most: int) -> Example:
+    """Return at most so many windows of an example, a third of them before the onset, in single precision."""
+    windows = len(one.state)
+    first = int(np.clip(min(one.onset, windows) - most // 3, 0, max(windows - most, 0)))
+    part = slice(first, first + most)
+    return replace(
+        one,
+        tokens=one.tokens[part].astype(np.float16),
+        state=one.state[part],
+        since=one.since[part],
+        size=one.size[part],
+        fitted=one.fitted[part].astype(np.float32),
+        error=one.error[part].astype(np.float32),
+        onset=one.onset - first,
+    )

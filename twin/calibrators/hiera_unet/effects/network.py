@@ -16,6 +16,8 @@ from twin.calibrators.hiera_unet.effects.memory import LAGS
 from twin.calibrators.hiera_unet.effects.tokens import WIDTH
 
 KERNEL = 3
+DROPPED = 0.1
+"""Share of a token's features that a training step leaves out."""
 DILATIONS = (1, 3)
 LEAST_SCALE = -4.0
 """Least logarithm of a scale."""
@@ -98,15 +100,20 @@ class EffectsNetwork(nn.Module):
         self.blocks = nn.ModuleList(_Block(w, self.config.heads, d) for d in DILATIONS)
         self.leave = nn.LayerNorm(w)
         self.heads = nn.Linear(w, 4 + len(LAGS))
+        # Past the norms, so that odds may grow with the evidence without bound.
+        self.direct = nn.Linear(WIDTH, 1)
+        nn.init.zeros_(self.direct.weight)
+        self.dropout = nn.Dropout(DROPPED)
 
     def forward(self, tokens: Tensor, real: Tensor) -> Answers:
         """Return the answers for tokens (B, K, H, WIDTH); `real` (B, H) is False for padding."""
-        x = self.enter(((tokens - self.mean) / self.spread).clamp(-8.0, 8.0))
+        scaled = ((tokens - self.mean) / self.spread).clamp(-8.0, 8.0)
+        x = self.dropout(self.enter(scaled))
         for block in self.blocks:
             x = block(x, real)
         found = self.heads(self.leave(x))
         return Answers(
-            found[..., 0].masked_fill(~real[:, None], -1e4),
+            (found[..., 0] + self.direct(scaled)[..., 0]).masked_fill(~real[:, None], -1e4),
             found[..., 4:].softmax(dim=-1),
             found[..., 1],
             found[..., 2],

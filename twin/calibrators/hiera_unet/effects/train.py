@@ -130,7 +130,7 @@ class _Batch:
             crops.append((one, max(first - REACH, 0), first, min(first + CROP, windows)))
         length = max(last - begin for _, begin, _, last in crops)
         most = max(one.tokens.shape[1] for one, *_ in crops)
-        shape = (count, length, most)
+        shape = count, length, most
         found = {
             "tokens": np.zeros((*shape, WIDTH), np.float32),
             "real": np.zeros((count, most), bool),
