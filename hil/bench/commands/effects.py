@@ -31,7 +31,7 @@ QUICK_RIGS = 2
     help="Trained network; with --train it is written.  [default: the shipped one]",
 )
 @click.option("--train", "training", is_flag=True, help="Train the network instead; the same command continues.")
-@click.option("--steps", type=click.IntRange(1), default=2500, show_default=True, help="Steps of the training.")
+@click.option("--steps", type=click.IntRange(1), default=2000, show_default=True, help="Steps of the training.")
 @click.option("--minutes", type=float, help="Stop after this time; the same command continues.")
 @click.option(
     "--diagnosed", type=click.IntRange(0), default=6, show_default=True, help="Records that `hil diagnose` judges too."

@@ -29,7 +29,7 @@ KIND, SINCE, SIZE = 0.3, 0.1, 0.1
 class EffectsPlan:
     """Plan of a training: steps, crops a step, learning rate, seed."""
 
-    steps: int = 2500
+    steps: int = 2000
     batch: int = 12
     rate: float = 2e-3
     seed: int = 0
