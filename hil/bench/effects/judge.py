@@ -37,9 +37,9 @@ class Case:
 class Outcome:
     """Outcome of one case at a threshold; `delay_s` None if the effect is not found by the end of the record.
 
-    `intime` is True if a warning came within two windows of the onset. `right_place`, `right_kind` and the errors are of
-    the last answer within two windows then, else of the first warning; `right_at_once` is of the first warning in either
-    case. `early` is a warning before the onset.
+    `intime` is True if a warning came within two windows of the onset. `right_place`, `right_kind` and the errors are
+    then of the last answer within two windows, else of the first warning. `right_at_once` is of the first warning in
+    either case. `early` is a warning before the onset.
     """
 
     truth: dict[str, Any]

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from hil import __version__
 from hil.bench.effects.judge import FALSE_A_DAY, Case, days, threshold_for
@@ -118,7 +117,7 @@ def train(request: EffectsRequest, *, over: Callable[[], bool], say: Say) -> Pat
         "rigs": {s.name: s.rigs for s in (training, calibration)},
         "records": {s.name: s.rigs * s.records for s in (training, calibration)},
         "curve": curve,
-        "versions": {"hil": __version__, "torch": torch.__version__, "numpy": metadata.version("numpy")},
+        "versions": {"hil": __version__, "torch": metadata.version("torch"), "numpy": metadata.version("numpy")},
     }
     calibrated = calibrate(member, cases_of(member, read(request.data, calibration)))
     return save_effects(replace(calibrated, card={**card, **calibrated.card}), request.out)

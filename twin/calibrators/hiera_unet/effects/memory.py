@@ -31,8 +31,8 @@ PAST_S = (1800.0, 7200.0)
 MOST_CORRELATED = 24
 """Largest number of windows over which correlation is followed."""
 GROWTHS = (1.0, 3.0, 10.0, 30.0)
-"""Growths b that are compared. The least one is a prior: a healthy record with slow changes alone does not show how much
-a lumped twin errs in fast ones.
+"""Growths b that are compared. The least one is a prior: a healthy record with slow changes alone does not show how
+much a lumped twin errs in fast ones.
 """
 MOST_UNREST = 1000.0
 """Largest square of a rate in healthy standard deviations that counts."""
