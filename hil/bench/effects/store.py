@@ -59,17 +59,22 @@ def planned(split: Split, seed: int) -> list[tuple[str, int]]:
     return [(split.families[k % len(split.families)], first + k) for k in range(split.rigs)]
 
 
-def fill(folder: Path, split: Split, seed: int, *, say: Callable[[int, str], None], over: Callable[[], bool]) -> bool:
-    """Make the missing rigs of a split; return False if `over` ended the work before it was done."""
+def effects_of(split: Split, seed: int, k: int) -> tuple[str, ...]:
+    """Return the names of the effects that the records of a rig are to have: all in turn, in a drawn order."""
     usual = [e.name for e in EFFECTS if not e.reserved]
     order = np.random.default_rng([seed, len(split.name)]).permutation(len(usual))
+    return tuple(usual[order[(k * split.records + j) % len(usual)]] for j in range(split.records))
+
+
+def fill(folder: Path, split: Split, seed: int, *, say: Callable[[int, str], None], over: Callable[[], bool]) -> bool:
+    """Make the missing rigs of a split; return False if `over` ended the work before it was done."""
     for k, (family, own) in enumerate(planned(split, seed)):
         path = _path(folder, split, k)
         if not path.exists():
             if over():
                 return False
             rig = make_rig(family, own)
-            wanted = tuple(usual[order[(k * split.records + j) % len(usual)]] for j in range(split.records))
+            wanted = effects_of(split, seed, k)
             _write(
                 path, StoredRig(rig.balance.hypotheses, rig.usually, tuple(make_records(rig, split.records, wanted)))
             )

@@ -13,7 +13,7 @@ import numpy as np
 from hil.bench.discovery import wilson
 from hil.bench.effects.judge import FALSE_A_DAY, VISIBLE, Case, Outcome, judged, share, threshold_for, visible
 from hil.bench.effects.simulated import UNSEEN, make_records, make_rig
-from hil.bench.effects.store import SPLITS, Split, StoredRig, planned, read
+from hil.bench.effects.store import SPLITS, Split, StoredRig, effects_of, planned, read
 from hil.bench.effects.training import cases_of
 from hil.bench.measure import Cell, ReportTable, median
 from hil.bench.zoo.plants import START_H
@@ -355,7 +355,7 @@ def _compared(split: Split, k: int, stored: StoredRig, member: EffectsMember) ->
     rig = make_rig(*planned(split, 0)[k])
     kept: list[Record] = []
     index = stored.records.index(case)
-    make_records(rig, index + 1, tuple(str(r.truth["effect"]) for r in stored.records), kept=kept)
+    make_records(rig, index + 1, effects_of(split, 0, k), kept=kept)
     clocked = with_clock(rig.network)
     answer = diagnose(clocked, columns_of(clocked, kept[index], START_H), columns_of(clocked, rig.healthy, START_H))
     place = answer.effects[0].where if answer.effects else "-"
