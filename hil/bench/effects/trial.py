@@ -345,16 +345,16 @@ def _agreement(folder: Path, member: EffectsMember, count: int, say: Callable[[s
 def _compared(split: Split, k: int, stored: StoredRig, member: EffectsMember) -> tuple[Cell, ...] | None:
     """Return the row of the rig's first visible record; None without one."""
     memory = stored.memory()
-    case = next((r for r in stored.records if float(r.truth["early"][0]) >= VISIBLE), None)
-    if case is None:
+    index = next((j for j, r in enumerate(stored.records) if float(r.truth["early"][0]) >= VISIBLE), None)
+    if index is None:
         return None
+    case = stored.records[index]
     course = member.course(window_scores(case.figures, memory), stored.hypotheses)
     last = int(np.argmax(course.statistic))
     warned = bool(course.statistic[last] > member.threshold)
     named = stored.hypotheses[int(course.hypothesis[last])]
     rig = make_rig(*planned(split, 0)[k])
     kept: list[Record] = []
-    index = stored.records.index(case)
     make_records(rig, index + 1, effects_of(split, 0, k), kept=kept)
     clocked = with_clock(rig.network)
     answer = diagnose(clocked, columns_of(clocked, kept[index], START_H), columns_of(clocked, rig.healthy, START_H))
