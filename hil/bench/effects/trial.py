@@ -29,7 +29,6 @@ from twin.discovery import diagnose
 GOAL = 80.0
 """Share of visible cases whose place is to be found within two windows, %."""
 LINEAR, NETWORK = "largest window score", "network"
-LOOKS = 50
 BANDS = (0.0, 3.0, 10.0, 30.0, 100.0, math.inf)
 
 
@@ -302,7 +301,7 @@ def further_tables(
 
 
 def _latency(member: EffectsMember) -> ReportTable:
-    """Return the time from the samples of the newest window to an answer, on one thread, at the end of a record."""
+    """Return the time from the samples of a window to its answer, on one thread, for all windows of a record."""
     rig = make_rig(*planned(SPLITS[2], 0)[0])
     kept: list[Record] = []
     make_records(rig, 1, kept=kept)
@@ -311,15 +310,14 @@ def _latency(member: EffectsMember) -> ReportTable:
     rows: list[tuple[Cell, ...]] = []
     with one_thread():
         watch = EffectsWatch(rig.network, rig.usually, member)
-        watch.push(record.time_s, inputs, measured)
-        last = record.time_s >= record.time_s[-1] - 2.0 * EVERY_S
         took = []
-        for _ in range(LOOKS):
+        for begin in np.arange(0.0, record.time_s[-1], EVERY_S):
+            new = (record.time_s >= begin) & (record.time_s < begin + EVERY_S)
             began = time.perf_counter()
-            watch.push(record.time_s[last], inputs[last], measured[last])
-            took.append(1e3 * (time.perf_counter() - began))
-    rows.append((len(rig.balance.hypotheses), len(record.time_s), median(took), float(np.max(took))))
-    columns = ("hypotheses", "samples of the record", "ms", "longest, ms")
+            answered = watch.push(record.time_s[new], inputs[new], measured[new])
+            took += [1e3 * (time.perf_counter() - began)] if answered else []
+    rows.append((len(rig.balance.hypotheses), len(record.time_s), len(took), median(took), float(np.max(took))))
+    columns = ("hypotheses", "samples of the record", "answers", "ms", "longest, ms")
     return ReportTable(
         "latency", "Latency of one look on one thread", columns, tuple(rows), (f"{member.network.count()} weights",)
     )
