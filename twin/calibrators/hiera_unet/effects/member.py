@@ -27,7 +27,7 @@ from twin.regular_file import MOST_WEIGHTS, read_regular
 SUBJECT = "effects"
 FORMAT = 1
 TABLE = {"windows_s": [WINDOW_S, EVERY_S], "onsets": list(LAGS), "kinds": list(KINDS), "width": WIDTH}
-"""What the tokens depend on; weights of another table are refused."""
+"""Table of the tokens; weights of another table are refused."""
 FACTOR = 2.3
 """90 % interval of Laplace's distribution over its scale, before calibration."""
 
