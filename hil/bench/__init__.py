@@ -18,6 +18,7 @@ BENCHMARKS = {
     "discovery": "Blind trial of the diagnosis: hidden effects, sealed answers",
     "again": "A revised twin on later records: no new effect, and a second effect",
     "zoo": "Diagnosis of random plants unlike any twin, with hidden effects of many kinds and sealed answers",
+    "effects": "Unmodelled effects of random plants, found within twenty minutes: a network and a linear rival",
     "faults": "Faults of wires, rig and harness: heater safe, no sample lost, no wrong value believed",
     "loop": "Jitter of the loop, its memory over 40 hours, and the losses of a killed run",
     "structure": "Commissioned twins of four and of ten volumes on healthy rigs of another maker",

@@ -14,6 +14,7 @@ from hil.bench.commands.blind import (
     hiera_command,
     posterior_command,
 )
+from hil.bench.commands.effects import effects_command
 from hil.bench.commands.fleet import fleet_command
 from hil.bench.commands.network import audit_command, tower_rows_command
 from hil.bench.commands.rig import bus_command, faults_command, files_command, loop_command, wire_command
@@ -60,6 +61,7 @@ for _bench in (
     discovery_command,
     again_command,
     zoo_command,
+    effects_command,
     structure_command,
     tower_command,
     tower_rows_command,

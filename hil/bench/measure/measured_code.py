@@ -64,6 +64,15 @@ MEASURED: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "again": {"discovery_again": (*_DISCOVERY, *_VIRTUAL)},
     "zoo": dict.fromkeys(("zoo_dev", "zoo"), (*_DISCOVERY, "hil/bench/zoo", "hil/executor")),
+    "effects": {
+        "effects": (
+            *_FITS,
+            "hil/bench/effects",
+            "hil/bench/zoo",
+            "twin/calibrators/hiera_unet/effects",
+            "twin/discovery",
+        )
+    },
     "fleet": {"fleet": (*_DISCOVERY, "hil/bench/fleet.py", "hil/executor", "hil/fleet")},
     "sinks": {
         "sinks": (*_LOOP, "hil/alarms", "hil/bench/sinks.py", "hil/export", "hil/panel", "hil/run_folder", "hil/stream")

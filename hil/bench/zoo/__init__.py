@@ -9,14 +9,17 @@ from __future__ import annotations
 
 from hil.lazy_names import lazy_names
 
-__all__ = ["tables", "trial"]
+__all__ = ["case", "tables", "trial", "twins", "visibility"]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "": (
+            "case",
             "tables",
             "trial",
+            "twins",
+            "visibility",
         ),
     },
 )
