@@ -15,7 +15,7 @@ from hil.bench.commands.blind import (
     posterior_command,
 )
 from hil.bench.commands.fleet import fleet_command
-from hil.bench.commands.network import audit_command, tower_rows_command
+from hil.bench.commands.network import audit_command, tower_rivals_command, tower_rows_command
 from hil.bench.commands.rig import bus_command, faults_command, files_command, loop_command, wire_command
 from hil.bench.commands.tower import tower_command
 from hil.bench.commands.twin import fit_command, paper_command, records_command, structure_command, twin_command
@@ -61,6 +61,7 @@ for _bench in (
     zoo_command,
     structure_command,
     tower_command,
+    tower_rivals_command,
     tower_rows_command,
     faults_command,
     loop_command,
