@@ -109,9 +109,12 @@ def test_a_tiny_trial_prints_each_contestant_and_continues_without_training(
     fleets = dict.fromkeys(("train", "validation", "test"), fleet)
     some = tuple(BY_NAME[name] for name in ("TCN", HIERA, REMEDY, f"{HIERA}, no memory"))
     monkeypatch.setattr(trial_module, "_boosted", lambda *_: [])
-    first, _ = trial_module.trial(fleets, size, 0, tmp_path, lambda *_: None, some)
+    kept = trial_module.Kept(tmp_path, 60.0, lambda *_: None)
+    _, left_out = trial_module.trial(fleets, size, 0, replace(kept, minutes=0.0), some)
+    assert len(left_out) == len(some) and "0 of 1 trainings" in left_out[0]
+    first, _ = trial_module.trial(fleets, size, 0, kept, some)
     monkeypatch.setattr(RivalTraining, "run", lambda *_: pytest.fail("trained again"))
-    again, _ = trial_module.trial(fleets, size, 0, tmp_path, lambda *_: None, some)
+    again, _ = trial_module.trial(fleets, size, 0, kept, some)
     assert again == first
     by_key = {table.key: table for table in first}
     assert [row[0] for row in by_key["outlet"].rows][3:] == [one.name for one in some]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import click
@@ -62,6 +63,7 @@ def audit_command(
 @click.option("--seconds", type=click.FloatRange(0.1), help="Processor seconds of each training.  [default: 20]")
 @click.option("--seeds", type=click.IntRange(1), help="Trainings of each contestant.  [default: 3]")
 @click.option("--no-ablations", is_flag=True, help="Skip the Hiera-UNet without each of its parts.")
+@click.option("--minutes", type=click.FloatRange(0.0), help="Processor minutes after which no training begins.")
 @QUICK
 @SEED
 @OUT
@@ -71,6 +73,7 @@ def tower_rivals_command(
     seconds: float | None,
     seeds: int | None,
     no_ablations: bool,
+    minutes: float | None,
     quick: bool,
     seed: int,
     out: Path | None,
@@ -90,10 +93,14 @@ def tower_rivals_command(
     from hil.bench import rivals
     from hil.run.session import ProgressBar
 
-    size = rivals.QUICK if quick else rivals.FULL
+    try:
+        size = rivals.QUICK if quick else rivals.FULL
+    except ImportError as error:
+        raise click.ClickException("torch is not installed; install the extra ml") from error
+    limits = rivals.Limits(not no_ablations, math.inf if minutes is None else minutes)
     size = replace(size, seconds=seconds or size.seconds, seeds=seeds or size.seeds)
     with ProgressBar("trainings", 1.0, quiet=as_json) as steps:
-        tables, skipped = rivals.measure(size, seed, work, steps.update, ablations=not no_ablations)
+        tables, skipped = rivals.measure(size, seed, work, steps.update, limits)
     finish("tower_rivals", seed, tables, skipped, out, as_json)
 
 

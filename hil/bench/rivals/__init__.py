@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.bench.rivals.trial import FULL, QUICK, TrialSize, measure
+    from hil.bench.rivals.trial import FULL, QUICK, Limits, TrialSize, measure
 
-__all__ = ["FULL", "QUICK", "TrialSize", "measure"]
+__all__ = ["FULL", "QUICK", "Limits", "TrialSize", "measure"]
 
-__getattr__, __dir__ = lazy_names(__name__, {"trial": ("FULL", "QUICK", "TrialSize", "measure")})
+__getattr__, __dir__ = lazy_names(__name__, {"trial": ("FULL", "QUICK", "Limits", "TrialSize", "measure")})

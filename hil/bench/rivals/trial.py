@@ -6,11 +6,11 @@ Simulated stations and finished trainings are kept in a folder, so that an inter
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from hil.bench.rivals.stations import tables as tables_of_split
 from hil.bench.rivals.training import RivalTraining, Trained, WindowPool, cut
 from twin.calibrators.hiera_unet.tower import Fleet, score
 from twin.calibrators.hiera_unet.tower.table import SUBJECT
+from twin.calibrators.hiera_unet.tower.windows import CellBatch
 from twin.calibrators.hiera_unet.weights.device import ready
 
 Say = Callable[[float, str], None]
@@ -45,9 +46,9 @@ class TrialSize:
         Trainings of each contestant.
     """
 
-    train: int = 36
-    validation: int = 8
-    test: int = 12
+    train: int = 22
+    validation: int = 5
+    test: int = 7
     windows: tuple[int, int, int] = (48, 10, 24)
     seconds: float = 20.0
     seeds: int = 3
@@ -61,8 +62,16 @@ FULL = TrialSize()
 QUICK = TrialSize(train=3, validation=1, test=2, windows=(16, 8, 8), seconds=1.0, seeds=1)
 
 
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits of one call: whether ablations take part, and processor minutes after which no training begins."""
+
+    ablations: bool = True
+    minutes: float = math.inf
+
+
 def measure(
-    size: TrialSize, seed: int, work: Path, say: Say, *, ablations: bool = True
+    size: TrialSize, seed: int, work: Path, say: Say, limits: Limits
 ) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
     """Return the tables, and a line for everything left out.
 
@@ -72,8 +81,8 @@ def measure(
         Folder for stations and finished trainings.
     say
         Called with each stage.
-    ablations
-        Whether the Hiera-UNet is trained without each of its parts too.
+    limits
+        Contestants that lack a training after these are left out; the next call goes on with them.
 
     Raises
     ------
@@ -83,46 +92,76 @@ def measure(
     ready("cpu", 1)
     simulate_missing(size.counts(), work / "stations", lambda share, text: say(0.3 * share, text))
     fleets = {s: Fleet(tables_of_split(work / "stations", s, n)) for s, n in size.counts().items()}
-    some = tuple(one for one in CONTESTANTS if ablations or one.kind != "ablation")
-    tables, skipped = trial(fleets, size, seed, work, say, some)
-    left_out = () if ablations else ("ablations: run without --no-ablations",)
-    return tables, (*skipped, *left_out)
+    some = tuple(one for one in CONTESTANTS if limits.ablations or one.kind != "ablation")
+    return trial(fleets, size, seed, Kept(work / "trained", limits.minutes, say), some)
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """Folder of finished trainings, processor minutes after which none begins, and who is told of each."""
+
+    folder: Path
+    minutes: float
+    say: Say
 
 
 def trial(
-    fleets: dict[str, Fleet],
-    size: TrialSize,
-    seed: int,
-    work: Path,
-    say: Say,
-    contestants: tuple[Contestant, ...],
+    fleets: dict[str, Fleet], size: TrialSize, seed: int, kept: Kept, contestants: tuple[Contestant, ...]
 ) -> tuple[tuple[ReportTable, ...], tuple[str, ...]]:
-    """Return the tables of a trial on the fleets of the splits, and a line for everything left out."""
+    """Return the tables of a trial on the fleets of the splits, and a line for everything left out.
+
+    Parameters
+    ----------
+    fleets
+        Training, validation and test stations, in this order.
+    """
     rows = {s: _chosen(fleets[s], n) for s, n in zip(fleets, size.windows, strict=True)}
     t = score.targets_of(fleets["test"], rows["test"])
     answers = tables.Answers(t, {s: (len(f.names), len(rows[s])) for s, f in fleets.items()}, size.seconds)
     answers.add_given("commissioned", score.commissioned(t))
     answers.add_given("persistence", score.persistent(t))
     answers.add_given(tables.GAUSS_NEWTON, score.believed(t))
-    pool: WindowPool | None = None
-    windows: dict[str, Any] = {}
-    skipped = _boosted(answers, fleets, rows, t, seed, size.seeds)
-    jobs = [(k, one) for one in contestants for k in range(size.seeds)]
-    for number, (k, one) in enumerate(jobs):
-        path = work / "trained" / f"{_file(one.name)}_{seed + k}.npz"
-        identity = json.dumps([asdict(size), [len(f) for f in fleets.values()], SUBJECT.digest()])
-        found = _read(path, identity)
-        if found is None:
-            say(0.3 + 0.7 * number / len(jobs), f"training {one.name}, seed {seed + k}")
-            if pool is None:
-                pool = WindowPool(fleets["train"], len(rows["train"]), seed)
-                few = rows["train"][:: max(len(rows["train"]) // len(rows["validation"]), 1)]
-                windows = {s: cut(fleets[s], few if s == "train" else rows[s]) for s in fleets}
-            training = RivalTraining(one, pool, seed + k)
-            found = training.run(size.seconds, windows["validation"], windows["train"], windows["test"])
-            _write(path, identity, found)
-        answers.add_trained(one, found)
-    return answers.tables(), tuple(skipped)
+    left_out = _boosted(answers, fleets, rows, t, seed, size.seeds)
+    identity = json.dumps([asdict(size), [len(f) for f in fleets.values()], SUBJECT.digest()])
+    made = _Trainings(fleets, rows, size, seed)
+    began = time.process_time()
+    for number, one in enumerate(contestants):
+        found = []
+        for k in range(seed, seed + size.seeds):
+            path = kept.folder / f"{_file(one.name)}_{k}.npz"
+            done = _read(path, identity)
+            if done is None and time.process_time() - began < 60.0 * kept.minutes:
+                kept.say(0.3 + 0.7 * number / len(contestants), f"training {one.name}, seed {k}")
+                done = made.trained(one, k)
+                _write(path, identity, done)
+            if done is not None:
+                found.append(done)
+        if len(found) == size.seeds:
+            for done in found:
+                answers.add_trained(one, done)
+        else:
+            left_out.append(f"{one.name}: {len(found)} of {size.seeds} trainings are done; run again to continue")
+    return answers.tables(), tuple(left_out)
+
+
+class _Trainings:
+    """Trainings on windows that are cut when the first one needs them."""
+
+    def __init__(
+        self, fleets: dict[str, Fleet], rows: dict[str, NDArray[np.int64]], size: TrialSize, seed: int
+    ) -> None:
+        self.fleets, self.rows, self.size, self.seed = fleets, rows, size, seed
+        self.pool: WindowPool | None = None
+        self.windows: dict[str, CellBatch] = {}
+
+    def trained(self, one: Contestant, seed: int) -> Trained:
+        if self.pool is None:
+            rows = self.rows
+            self.pool = WindowPool(self.fleets["train"], len(rows["train"]), self.seed)
+            few = rows["train"][:: max(len(rows["train"]) // len(rows["validation"]), 1)]
+            self.windows = {s: cut(self.fleets[s], few if s == "train" else rows[s]) for s in self.fleets}
+        training = RivalTraining(one, self.pool, seed)
+        return training.run(self.size.seconds, self.windows["validation"], self.windows["train"], self.windows["test"])
 
 
 def _boosted(
