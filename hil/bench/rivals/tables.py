@@ -141,7 +141,7 @@ class Answers:
             "change: of the mean absolute error against Gauss-Newton, mean over seeds; its interval is a bootstrap of "
             f"{count} stations: it lacks the spread of the seeds, and with so few it is too narrow",
             "all networks learn the outlet alone and read the whole day with the target; the TCN alone reads no later "
-            "minute",
+            "block of ten minutes",
             f"each network has {self.seconds:g} processor seconds of steps a seed; evaluations are in the last column",
             "networks: weights of the evaluation with the least error on validation stations, 0 steps among them",
         )
