@@ -67,6 +67,22 @@ def test_the_outlet_of_the_network_needs_its_gain_as_well_as_its_error(tmp_path:
     assert found["tcn"].verdict == NOT_MEASURED and "cells" not in found
 
 
+def test_rivals_need_three_seeds_and_an_ablation_a_sure_sign(tmp_path: Path) -> None:
+    columns = ["method", "seeds", "MAE K", "change %", "95 % from", "to"]
+    outlet = (columns, [["TCN", 3, 0.094, 1.0, -2.0, 4.0], ["BiLSTM", 2, 0.095, 2.0, 1.0, 3.0]])
+    parts = (
+        ["part left out", "seeds", "last step: change %", "95 % from", "to"],
+        [["no memory", 3, 4.0, 1.0, 7.0], ["no hierarchy", 3, 2.0, 0.5, 3.0]],
+    )
+    found = outlet_rows(page(tmp_path, "tower_rivals", outlet=outlet, parts=parts))
+    assert found["tcn"].verdict == REACHED and found["tcn"].interval == "-2.0 to +4.0 %"
+    assert found["bilstm"].verdict == FAILED and found["unet"].verdict == NOT_MEASURED
+    assert found["ablations"].verdict == REACHED and "no memory +4.0 %" in found["ablations"].ours
+    parts[1][1][3] = -0.5
+    unsure = outlet_rows(page(tmp_path, "tower_rivals", outlet=outlet, parts=parts))["ablations"]
+    assert unsure.verdict == FAILED and "1 of 2" in unsure.why
+
+
 def test_intervals_narrower_than_their_errors_allow_fail(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     sd = np.exp(rng.normal(0.0, 0.7, 200_000))

@@ -21,7 +21,6 @@ PARTS = {"deviations": ("fill %", 4.1), "air": ("air %", 3.6), "uniformity": ("u
 def calibration_rows(published: Published) -> dict[str, Outcome]:
     """Return the outcomes of A10 to A28 that published results have."""
     found = {
-        "ablations": not_measured("no ablation of the tower's network; those of the loop are in hiera_ablations"),
         "ramp": not_measured("no bench adds a ramp of the fill to a record"),
         "cleaning": not_measured("no bench counts the excited windows after a cleaning"),
         "proposals": not_measured("no bench compares proposals with simulated inspections"),

@@ -3,19 +3,62 @@
 from __future__ import annotations
 
 from hil.bench.acceptance.outcome import HIDDEN, TRUTH, Outcome, Published, figure, not_measured
+from hil.bench.measure import Cell
 
-NETWORK, TOWER = "tower_network", "tower"
+NETWORK, TOWER, RIVALS = "tower_network", "tower", "tower_rivals"
 ENSEMBLE, BOOSTED = "network, ensemble", "the same, boosted"
 NEVER_TRAINED = "not trained on these windows"
+NO_ABLATION = "no ablation of the tower's network; those of the loop are in hiera_ablations"
+TRAINED = {"bilstm": "BiLSTM", "unet": "temporal U-Net", "transformer": "flat transformer", "tcn": "TCN"}
+"""Methods of the rivals' page by key."""
+LEAST_SEEDS = 3
 START = "the outlet is that of boosted trees, since the gate refused the members' outputs"
 
 
 def outlet_rows(published: Published) -> dict[str, Outcome]:
-    """Return the outcomes of A1 to A8 that published results have."""
-    found = {key: not_measured(NEVER_TRAINED) for key in ("bilstm", "unet", "transformer", "tcn")}
-    found |= _on_stations(published)
+    """Return the outcomes of A1 to A8 and A13 that published results have."""
+    found = {key: not_measured(NEVER_TRAINED) for key in TRAINED} | {"ablations": not_measured(NO_ABLATION)}
+    found |= _rivals(published) | _on_stations(published)
     found |= _on_one_station(published)
     return found
+
+
+def _rivals(published: Published) -> dict[str, Outcome]:
+    """Return the outcomes of the rivals and of the ablations; the gate asks that they are measured, or for a sign."""
+    by_method = {str(row["method"]): row for row in published.rows(RIVALS, "outlet")}
+    found: dict[str, Outcome] = {}
+    for key, method in TRAINED.items():
+        if one := by_method.get(method):
+            mae, seeds, change = (figure(one[name]) for name in ("MAE K", "seeds", "change %"))
+            found[key] = Outcome(
+                f"{mae:.3f}",
+                seeds >= LEAST_SEEDS,
+                RIVALS,
+                TRUTH,
+                f"{seeds:.0f} seeds",
+                f"{figure(one['95 % from']):+.1f} to {figure(one['to']):+.1f} %",
+                f"against Gauss-Newton there {change:+.1f} %, with that interval",
+            )
+    parts = published.rows(RIVALS, "parts")
+    if parts:
+        found["ablations"] = _ablations(parts)
+    return found
+
+
+def _ablations(parts: list[dict[str, Cell]]) -> Outcome:
+    """Return the outcome of A13: each part helps for sure, by the weights of the last step, with three seeds."""
+    changes = [figure(one["last step: change %"]) for one in parts]
+    helps = [str(one["part left out"]) for one in parts if figure(one["95 % from"]) > 0.0]
+    seeds = min(figure(one["seeds"]) for one in parts)
+    return Outcome(
+        ", ".join(f"{one['part left out']} {change:+.1f} %" for one, change in zip(parts, changes, strict=True)),
+        len(helps) == len(parts) and seeds >= LEAST_SEEDS,
+        RIVALS,
+        TRUTH,
+        f"{seeds:.0f} seeds",
+        "; ".join(f"{figure(one['95 % from']):+.1f} to {figure(one['to']):+.1f} %" for one in parts),
+        f"change of the error without the part; {len(helps)} of {len(parts)} help beyond the interval",
+    )
 
 
 def _on_stations(published: Published) -> dict[str, Outcome]:

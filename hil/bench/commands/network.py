@@ -1,7 +1,8 @@
-"""Benches of what a trained network draws on, and of the acceptance rows of the tower paper."""
+"""Benches of what a trained network draws on, of its rivals, and of the acceptance rows of the tower paper."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import click
@@ -49,6 +50,58 @@ def audit_command(
     with ProgressBar("subjects", 1.0, quiet=as_json) as steps:
         tables, skipped = audit.measure(size, seed, loop, tower, steps.update)
     finish("audit", seed, tables, skipped, out, as_json)
+
+
+@click.command("tower-rivals")
+@click.option(
+    "--work",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("runs/bench/tower_rivals"),
+    show_default=True,
+    help="Folder for stations and finished trainings.",
+)
+@click.option("--seconds", type=click.FloatRange(0.1), help="Processor seconds of each training.  [default: 20]")
+@click.option("--seeds", type=click.IntRange(1), help="Trainings of each contestant.  [default: 3]")
+@click.option("--no-ablations", is_flag=True, help="Skip the Hiera-UNet without each of its parts.")
+@click.option("--minutes", type=click.FloatRange(0.0), help="Processor minutes after which no training begins.")
+@QUICK
+@SEED
+@OUT
+@JSON
+def tower_rivals_command(
+    work: Path,
+    seconds: float | None,
+    seeds: int | None,
+    no_ablations: bool,
+    minutes: float | None,
+    quick: bool,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Train TCN, BiLSTM, temporal U-Net, flat transformer and Hiera-UNet alike; compare on stations that none saw.
+
+    Each corrects the outlet of Gauss-Newton for the same processor time. An interrupted trial continues in --work.
+
+    \b
+    Example:
+      hil bench tower-rivals --quick
+      hil bench tower-rivals --out docs/results
+    """
+    from dataclasses import replace
+
+    from hil.bench import rivals
+    from hil.run.session import ProgressBar
+
+    try:
+        size = rivals.QUICK if quick else rivals.FULL
+    except ImportError as error:
+        raise click.ClickException("torch is not installed; install the extra ml") from error
+    limits = rivals.Limits(not no_ablations, math.inf if minutes is None else minutes)
+    size = replace(size, seconds=seconds or size.seconds, seeds=seeds or size.seeds)
+    with ProgressBar("trainings", 1.0, quiet=as_json) as steps:
+        tables, skipped = rivals.measure(size, seed, work, steps.update, limits)
+    finish("tower_rivals", seed, tables, skipped, out, as_json)
 
 
 @click.command("tower-rows")

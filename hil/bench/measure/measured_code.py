@@ -111,6 +111,16 @@ MEASURED: dict[str, dict[str, tuple[str, ...]]] = {
         "tower_stations": (*_TOWER, "drivers/historian", "drivers/virtual/tower", "hil/bench/tower_stations.py"),
         "tower_steps": (*_TOWER, "hil/bench/tower_steps.py"),
     },
+    "tower-rivals": {
+        "tower_rivals": (
+            "twin/calibrators/hiera_unet",
+            "twin/tower",
+            "twin/historian",
+            "drivers/virtual/tower",
+            "hil/training/tower/stations.py",
+            "hil/bench/rivals",
+        ),
+    },
     "tower-rows": {
         "tower_rows": (
             *_TOWER,
