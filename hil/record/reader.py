@@ -72,6 +72,10 @@ COLDEST_C = -100.0
 LIQUID_K = (233.0, 423.0)
 """Kelvin of -40 to 150 degC: a record in degC that lies within this range throughout gets a question."""
 
+COMMAS, THOUSANDS = "decimal commas read as points", "numbers with marks between thousands read without them"
+NAMED = 3
+"""Columns that a message of several names."""
+
 _COMPOUND_SUFFIXES = {"_kg_s": "kg/s", "_m3_h": "m3/h", "_L_min": "L/min", "_l_min": "L/min"}
 _STANDARD_UNITS = {"heater_power": "W", "pump_speed": "%", "fan_speed": "%"}
 
@@ -198,7 +202,26 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
     if not at_rest:
         messages += [*standing_still(time_s, columns), *unit_jumps(time_s, columns)]
     messages += _describe_missing(time_s, columns, quality)
+    messages = _of_alike(messages)
     return Record(time_s, columns, tuple(messages), path, raw.sha256, quality, axis.start, raw.metadata or {})
+
+
+def _of_alike(messages: list[str]) -> list[str]:
+    """Return the messages with one for all columns whose numbers are written in the same way."""
+    named: dict[str, list[str]] = {}
+    for message in messages:
+        name, mark, rest = message.rpartition(": ")
+        alike = mark and rest.endswith((COMMAS, THOUSANDS))
+        named.setdefault(rest if alike else message, []).append(name)
+    found = []
+    for rest, names in named.items():
+        if not rest.endswith((COMMAS, THOUSANDS)):
+            found.append(rest)
+        elif len(names) <= NAMED:
+            found.append(f"{', '.join(names)}: {rest}")
+        else:
+            found.append(f"{', '.join(names[:NAMED])} and {len(names) - NAMED} others: {rest} in each")
+    return found
 
 
 def _restarted(axis: TimeAxis, seconds: NDArray[np.float64]) -> TimeAxis:
@@ -227,9 +250,9 @@ def _numbers(name: str, cells: Any, sign: Sign, raw: RawRecord, messages: list[s
         cells_are = "1 cell is no number" if numbers.bad == 1 else f"{numbers.bad} cells are no numbers"
         messages.append(f"{name}: {cells_are} (the first, {raw.place(numbers.row)}, is '{numbers.text[:20]}'): missing")
     if numbers.commas:
-        messages.append(f"{name}: {numbers.commas} decimal commas read as points")
+        messages.append(f"{name}: {numbers.commas} {COMMAS}")
     if numbers.thousands:
-        messages.append(f"{name}: {numbers.thousands} numbers with marks between thousands read without them")
+        messages.append(f"{name}: {numbers.thousands} {THOUSANDS}")
     values = numbers.values
     if np.isinf(values).any():
         messages.append(f"{name}: {np.isinf(values).sum()} values are infinite: missing")

@@ -237,7 +237,7 @@ def test_tracking_and_diagnosis_state_alike_where_something_enters(
 
 def test_a_course_that_goes_both_ways_has_no_mean() -> None:
     assert disturbance_statement("T_tank_C", 0.006, "K", (-0.49, 0.48), 0.0, average=True) == (
-        "T_tank_C reads too high by between -0.49 K and 0.48 K"
+        "T_tank_C is off by between -0.49 K and 0.48 K"
     )
     assert "on average" in disturbance_statement("T_tank_C", 0.2, "K", (-0.01, 0.8), 0.0, average=True)
 

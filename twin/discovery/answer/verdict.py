@@ -49,6 +49,7 @@ _TOO_LITTLE = (
     "no effect is likely, and yet the re-tuned twin is off by ten times as much as in health, or by as much as a "
     "constant; check the units of the record's columns, and whether twin and healthy record are of this rig"
 )
+_REFUTED = "the likeliest effect is not claimed: what it predicts for the held-out segment does not hold there"
 _USUAL = (
     "re-tuned, the twin is off on the held-out segment by no more than one as good as when it was commissioned may "
     "be under another load; whether what it left as it was means anything, only a healthy record could tell"
@@ -82,6 +83,8 @@ def conclude(case: AssessedFinding, notes: tuple[str, ...]) -> Diagnosis:
         followed = f"several effects would explain the record together, but all of them follow {curve.variable}"
         notes = (*notes, f"{followed}: one curve of it at {curve.node} does as well")
     if not claimed and adequate(case):
+        if finding.fit is not None and curve is None:
+            notes = (*notes, _REFUTED)
         finding = nothing(finding)
         case = replace(case, finding=finding, errors=retuned_alone(case.errors))
         answer = _with_thermometers(_fine(case), case)

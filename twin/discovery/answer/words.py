@@ -62,6 +62,8 @@ def odds_of_best(finding: Finding) -> str:
     best = max(finding.odds, finding.unlisted)
     if best < 0.0:
         return "the twin without any effect is the most probable explanation"
+    if best >= finding.claim:
+        return f"the likeliest effect has {chances(best)}, and a note says why it is not claimed"
     return f"the likeliest effect has {chances(best)}, and a claim needs {chances(finding.claim)}"
 
 

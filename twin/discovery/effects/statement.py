@@ -36,7 +36,7 @@ def disturbance_statement(
     since = f", from {clock(since_s)} on" if since_s is not None and since_s > 0.0 else ""
     if interval is not None and average and _both_ways(*interval):
         between = f"between {_sized(interval[0], unit)} and {_sized(interval[1], unit)}"
-        verb = agreeing(where, {"W": "gives off", "K": "reads too high by"}.get(unit, "differs from the twin by"))
+        verb = agreeing(where, {"W": "gives off", "K": "is off by"}.get(unit, "differs from the twin by"))
         rest = " that the twin does not model" if unit == "W" else ""
         return f"{where.replace('_', ' ') if unit not in ('W', 'K') else where} {verb} {between}{rest}{since}"
     low, high = sorted(-x if value < 0.0 else x for x in interval or (value, value))
