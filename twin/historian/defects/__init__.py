@@ -16,7 +16,7 @@ from twin.historian.defects.repeats import repeated_stamps
 from twin.historian.defects.silence import communication_gaps, interface_groups
 from twin.historian.defects.stuck import constant_value, stuck_values
 from twin.historian.defects.swaps import swapped, undo_swap
-from twin.historian.defects.unit_switch import Switch, converted, unit_switches
+from twin.historian.defects.unit_switch import Switch, TagEdges, converted, unit_switches
 from twin.historian.events import Event
 from twin.historian.tags import Defect, Series, longest_interval_s
 
@@ -97,7 +97,8 @@ def find_and_repair(
     gaps = communication_gaps(usable, groups, doubled)
     found += gaps
     series = _without(usable, gaps)
-    switches = unit_switches(series, full_speed)
+    edges = TagEdges(full_speed)
+    switches = unit_switches(series, full_speed, edges)
     found += [switch.defect for switch in switches]
     stuck = [defect for one in series for defect in _stuck(one, switches, series)]
     constant = _constant(series, stuck)
@@ -118,7 +119,7 @@ def find_and_repair(
         if not new:
             break
         # A witness that was swapped or in another range hid changes of the tags that it predicts.
-        more = unit_switches(series, full_speed)
+        more = unit_switches(series, full_speed, edges)
         series, new = _swaps_and_ranges([_converted(one, more) for one in series], events, full_speed)
         new = [*(switch.defect for switch in more), *new]
         found += new

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from twin.historian.tags import Array, Series, longest_interval_s
+from twin.historian.tags import Array, Mask, Series, longest_interval_s
 from twin.historian.units import unit_of
 
 STEP_S = 900.0
@@ -54,32 +54,54 @@ def design_matrix(values: Array) -> Array:
     return np.concatenate([np.ones((values.shape[1], 1)), (apart[use] / scale[use]).T], axis=1)
 
 
-def robust_prediction(target: Array, matrix: Array, rounds: int = ROUNDS) -> tuple[Array, float]:
-    """Return the ridge prediction of `target (m,)` by `matrix (m, k)` with Huber weights, and its scatter."""
-    known = np.isfinite(target)
-    count, k = int(np.count_nonzero(known)), matrix.shape[1]
-    if count < 2 * k:
-        return np.full(len(target), np.nan), np.inf
-    # Columns in rows, so that weights multiply contiguous memory.
-    a = np.ascontiguousarray(matrix.T) if count == len(target) else matrix.T.compress(known, axis=1)
-    centre = _median(target[known])
-    y = target[known] - centre
-    ridge = np.full(k, 1e-3 * count)
-    ridge[0] = 1e-9
-    root = np.ones(count)
-    coefficients: Array = np.zeros(k)
-    sigma = np.inf
-    for _ in range(rounds):
-        weighted = a * root
-        gram = weighted @ weighted.T
-        gram.ravel()[:: k + 1] += ridge
-        _, coefficients, failed = dposv(gram, weighted @ (root * y))
-        if failed:
-            raise np.linalg.LinAlgError("the tags that predict have a value that is no number")
-        off = np.abs(y - coefficients @ a)
-        sigma = max(1.4826 * _median(off), 1e-6)
-        root = np.sqrt(np.minimum(1.0, 1.5 * sigma / np.maximum(off, 1e-12)))
-    return np.asarray(centre + matrix @ coefficients), sigma
+class RobustPredictor:
+    """Ridge predictions by one matrix with Huber weights, of targets that are known in the same rows for the most part.
+
+    Most rows have the weight 1. So the products of all rows are kept, and those of the few with less are taken off.
+    """
+
+    def __init__(self, matrix: Array) -> None:
+        """Predict by `matrix (m, k)`."""
+        self.matrix = np.ascontiguousarray(matrix)
+        self._known: Mask = np.zeros(0, dtype=bool)
+        self._rows, self._gram = self.matrix[:0], np.zeros((0, 0))
+
+    def __call__(self, target: Array, rounds: int = ROUNDS) -> tuple[Array, float]:
+        """Return the prediction (m,) of `target (m,)`, and its scatter."""
+        known = np.isfinite(target)
+        count, k = int(np.count_nonzero(known)), self.matrix.shape[1]
+        if count < 2 * k:
+            return np.full(len(target), np.nan), np.inf
+        if not np.array_equal(known, self._known):
+            rows = self.matrix if count == len(known) else self.matrix.compress(known, axis=0)
+            gram = rows.T @ rows
+            ridge = np.full(k, 1e-3 * count)
+            ridge[0] = 1e-9
+            gram.ravel()[:: k + 1] += ridge
+            self._known, self._rows, self._gram = known, rows, gram
+        rows = self._rows
+        centre = _median(target[known])
+        y = target[known] - centre
+        gram, weighted = self._gram, y
+        predicted, sigma = y, np.inf
+        for left in range(rounds, 0, -1):
+            _, coefficients, failed = dposv(gram, weighted @ rows)
+            if failed:
+                raise np.linalg.LinAlgError("the tags that predict have a value that is no number")
+            predicted = rows @ coefficients
+            off = np.abs(y - predicted)
+            sigma = max(1.4826 * _median(off), 1e-6)
+            if left == 1:
+                break
+            far = np.flatnonzero(off > 1.5 * sigma)
+            weight = 1.5 * sigma / off[far]
+            lost = rows.take(far, axis=0) * np.sqrt(1.0 - weight)[:, None]
+            gram = self._gram - lost.T @ lost
+            weighted = y.copy()
+            weighted[far] *= weight
+        if count < len(known):
+            predicted = self.matrix @ coefficients
+        return np.asarray(centre + predicted), sigma
 
 
 def _median(values: Array) -> float:

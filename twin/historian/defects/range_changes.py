@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.historian.checks import FAN_APART, THERMOMETER_K
-from twin.historian.defects.panel import TagPanel, design_matrix, on_grid, panel, robust_prediction
+from twin.historian.defects.panel import RobustPredictor, TagPanel, design_matrix, on_grid, panel
 from twin.historian.defects.unit_switch import Switch, other_units
 from twin.historian.tags import Array, Defect, Mask, Series, longest_interval_s
 from twin.historian.units import unit_of
@@ -456,18 +456,21 @@ def _judged_over(
         x = np.where(np.abs(x) > rest, x, np.nan)
     x = np.where((grid[rows] > before_s) & (grid[rows] < after_s), np.nan, x)
     after = grid[rows] >= after_s
-    if min((np.isfinite(x) & part).sum() for part in (after, ~after)) < (HIDDEN_ROWS if at.hidden else LEAST_ROWS):
+    if _fewest(x, after) < (HIDDEN_ROWS if at.hidden else LEAST_ROWS):
         return None
     matrix = _witnesses(table, k, rows)
     if not alone and not _step_explains(x, after, matrix):
         return None
-    plain, _ = robust_prediction(x, matrix)
-    returned = None if back is None else _with_map(x, after, matrix, *back)
+    predict = RobustPredictor(matrix)
+    plain, _ = predict(x)
+    returned = None if back is None else _with_map(x, after, predict, *back)
     if back is not None and returned is not None and returned.is_borne_out(x - plain, after, alone=True):
         return _Leap(before_s, after_s, *back, returned.doubt(after), at.hidden)
+    if np.nansum(np.abs(x - plain)) <= EXPLAINS * _least_leap(series, at, x[after]) * _fewest(x, after):
+        return None  # whatever the map: no prediction is nearer than the readings themselves
     usual_map = _is_ratio(series) or series.tag.role in FANS
     by_law = _by_law(table, k, at)
-    fits = [_fitted(x, after, matrix, ratio=ratio, first=by_law) for ratio in (usual_map, not usual_map)]
+    fits = [_fitted(x, after, predict, ratio=ratio, first=by_law) for ratio in (usual_map, not usual_map)]
     errors = [np.inf if one is None else one.error for one in fits]
     fit = fits[0] if errors[0] <= CLEARLY * errors[1] else fits[1]
     if fit is None or not fit.is_borne_out(x - plain, after, alone=alone):
@@ -536,6 +539,31 @@ def _large(series: Series, at: _Candidate, fit: _Fit) -> bool:
     return abs(float(np.log(max(mapped, 1e-9) / max(before, 1e-9)))) >= _least_ratio(series)
 
 
+def _least_leap(series: Series, at: _Candidate, after: Array) -> float:
+    """Return the smallest median leap of the readings `after` (n,) by a map that is large and, of a leap that the
+    samples show, at its edge."""
+    x = _canonical(series)
+    levels = at.sides(x)
+    if _is_ratio(series):
+        # Of a rise and a fall by one ratio the fall is the smaller change.
+        least = abs(levels[0]) * -float(np.expm1(-_least_ratio(series)))
+    else:
+        least = LEAST.get(unit_of(series.tag.unit).dimension, LEAST_KPA)
+    shares = [least / max(abs(levels[0]), 1e-9)]
+    if not at.hidden:
+        pairs = levels, (float(x[at.row]), float(x[at.after]))
+        least = max(least, (1.0 - EDGE) * min(abs(end - start) for start, end in pairs))
+        shares.append((1.0 - EDGE) * min(abs(end - start) / max(abs(start), 1e-9) for start, end in pairs))
+    share = max(shares)
+    return min(least, share / (1.0 + share) * float(np.nanmedian(np.abs(after))))
+
+
+def _fewest(x: Array, after: Mask) -> int:
+    """Return the known readings (m,) of the side of a leap that has fewer."""
+    known = np.isfinite(x)
+    return int(min((known & after).sum(), (known & ~after).sum()))
+
+
 def _least_ratio(series: Series) -> float:
     return float(np.log1p(FAN_APART if series.tag.role == "fan_power" else LEAST_SHARE))
 
@@ -586,7 +614,7 @@ class _Fit:
         return gained > EXPLAINS * size * float(min(part.sum() for part in parts))
 
 
-def _fitted(x: Array, after: Mask, matrix: Array, *, ratio: bool, first: float | None = None) -> _Fit | None:
+def _fitted(x: Array, after: Mask, predict: RobustPredictor, *, ratio: bool, first: float | None = None) -> _Fit | None:
     """Return the map by a factor (or else a constant) with which the readings after a leap go with the prediction.
 
     `first` is the factor to begin with; None for that of the hours about the leap.
@@ -598,7 +626,7 @@ def _fitted(x: Array, after: Mask, matrix: Array, *, ratio: bool, first: float |
     factor, constant = (first or near[1] / near[0], 0.0) if ratio else (1.0, near[1] - near[0])
     for _ in range(ROUNDS):
         mapped = np.where(after, (x - constant) / factor, x)
-        predicted, _ = robust_prediction(mapped, matrix)
+        predicted, _ = predict(mapped)
         there = predicted[sides[1]]
         if ratio:
             factor = float(np.median(x[sides[1]] / np.where(there > 0.0, there, np.nan)))
@@ -606,13 +634,13 @@ def _fitted(x: Array, after: Mask, matrix: Array, *, ratio: bool, first: float |
                 return None
         else:
             constant = float(np.median(x[sides[1]] - there))
-    return _with_map(x, after, matrix, factor, constant)
+    return _with_map(x, after, predict, factor, constant)
 
 
-def _with_map(x: Array, after: Mask, matrix: Array, factor: float, constant: float) -> _Fit:
+def _with_map(x: Array, after: Mask, predict: RobustPredictor, factor: float, constant: float) -> _Fit:
     """Return how the readings go with the prediction if those after a leap are mapped back by this map."""
     mapped = np.where(after, (x - constant) / factor, x)
-    predicted, _ = robust_prediction(mapped, matrix)
+    predicted, _ = predict(mapped)
     return _Fit(factor, constant, np.where(after, x - mapped, 0.0), mapped - predicted)
 
 

@@ -17,12 +17,12 @@ import numpy as np
 
 from twin.historian.defects.panel import (
     STEP_S,
+    RobustPredictor,
     TagPanel,
     design_matrix,
     largest_sum,
     moving_mean,
     panel,
-    robust_prediction,
 )
 from twin.historian.events import Event, naming
 from twin.historian.tags import Array, Defect, Mask, Series
@@ -140,14 +140,14 @@ def _pair(table: TagPanel, j: int, k: int, events: Sequence[Event]) -> list[_Hit
         and one.tag.cell in (None, first.cell, second.cell)
         and unit_of(one.tag.unit).dimension not in ("angle", "state")
     ]
-    matrix = design_matrix(table.values[drivers])
+    predict = RobustPredictor(design_matrix(table.values[drivers]))
     difference = table.values[j] - table.values[k]
     if np.isfinite(difference).sum() < 200:
         return []
     found: list[_Hit] = []
     sign = np.ones(len(difference))
     for _ in range(MOST):
-        hit = _judged(table, (j, k), sign, matrix, events)
+        hit = _judged(table, (j, k), sign, predict, events)
         if hit is None:
             break
         found.append(hit)
@@ -157,7 +157,9 @@ def _pair(table: TagPanel, j: int, k: int, events: Sequence[Event]) -> list[_Hit
     return found
 
 
-def _judged(table: TagPanel, pair: tuple[int, int], sign: Array, matrix: Array, events: Sequence[Event]) -> _Hit | None:
+def _judged(
+    table: TagPanel, pair: tuple[int, int], sign: Array, predict: RobustPredictor, events: Sequence[Event]
+) -> _Hit | None:
     """Return the first span of a swap that both kinds of evidence support; None without one.
 
     Levels are tried first: they give the sharper edges. Changes within a day follow, for pairs that drift against one
@@ -167,13 +169,13 @@ def _judged(table: TagPanel, pair: tuple[int, int], sign: Array, matrix: Array, 
     now, other = (np.where(sign > 0.0, table.values[k], table.values[m]) for k, m in (pair, pair[::-1]))
     difference = now - other
     for daily in (False, True):
-        span = _span(difference, matrix, daily=daily)
+        span = _span(difference, predict, daily=daily)
         if span is None:
             continue
         low, high = span.low, span.high
         if span.correlation(low, high) <= AGAINST_NAMED and span.evidence >= LEAST_EVIDENCE_NAMED:
             for reach in (AROUND_ROWS, NEAR_ROWS):
-                low, high = span.moved(low, high, *_refined(difference, matrix, low, high, reach))
+                low, high = span.moved(low, high, *_refined(difference, predict.matrix, low, high, reach))
         start, end = float(table.grid_s[low]), float(table.grid_s[high - 1])
         entries = (*naming(events, tags, start), *naming(events, tags, end))
         least, against = (LEAST_EVIDENCE_NAMED, AGAINST_NAMED) if entries else (LEAST_EVIDENCE, AGAINST)
@@ -181,7 +183,7 @@ def _judged(table: TagPanel, pair: tuple[int, int], sign: Array, matrix: Array, 
         inside, outside = span.correlation(low, high), span.correlation(low, high, outside=True)
         if span.evidence < least or inside > against or outside < -against or not long_enough:
             continue
-        alone = daily or not (_better(now, other, matrix, low, high) and _better(other, now, matrix, low, high))
+        alone = daily or not (_better(now, other, predict, low, high) and _better(other, now, predict, low, high))
         if alone and not entries:
             continue
         entry = "; a maintenance entry names both" if entries else ""
@@ -191,14 +193,14 @@ def _judged(table: TagPanel, pair: tuple[int, int], sign: Array, matrix: Array, 
     return None
 
 
-def _better(own: Array, theirs: Array, matrix: Array, low: int, high: int) -> bool:
+def _better(own: Array, theirs: Array, predict: RobustPredictor, low: int, high: int) -> bool:
     """Return whether a tag's prediction goes better with the other tag's values inside the span than with its own.
 
     In a swap it does for both. A single faulty tag reverses the difference too, but its partner keeps its own place.
     """
     exchanged = own.copy()
     exchanged[low:high] = theirs[low:high]
-    predicted, _ = robust_prediction(exchanged, matrix)
+    predicted, _ = predict(exchanged)
     inside = slice(low, high)
     ours, others = (float(np.nansum(np.abs(value[inside] - predicted[inside]))) for value in (own, theirs))
     return ours > others
@@ -245,14 +247,14 @@ class _Span:
         return 2.0 / float(np.sqrt(max(rows / 4.0, 1.0)))
 
 
-def _span(difference: Array, matrix: Array, *, daily: bool) -> _Span | None:
+def _span(difference: Array, predict: RobustPredictor, *, daily: bool) -> _Span | None:
     """Return the most probable swap, by the levels or by the changes within a day."""
     mask = np.ones(len(difference))
     low, high, total, predicted = 0, 0, 0.0, difference
     half = round(0.5 * DAY_S / STEP_S)
     changes = difference - moving_mean(difference, half)
     for _ in range(ROUNDS):
-        predicted, sigma = robust_prediction(difference * mask, matrix)
+        predicted, sigma = predict(difference * mask)
         wanted = predicted - moving_mean(predicted, half)
         # log p(now | swapped) - log p(now | not) of a normal error
         gain = np.nan_to_num(-2.0 * (changes * wanted if daily else difference * predicted) / sigma**2)
@@ -274,7 +276,7 @@ def _refined(difference: Array, matrix: Array, low: int, high: int, most: int) -
     edges, are tried as edges, one edge at a time.
     """
     first, last = max(low - AROUND_ROWS, 0), min(high + AROUND_ROWS, len(difference))
-    x, a = difference[first:last], matrix[first:last]
+    x, predict = difference[first:last], RobustPredictor(matrix[first:last])
     filled = np.where(np.isfinite(x), x, 0.0)
     nearby = np.minimum(np.abs(np.arange(first, last) - low), np.abs(np.arange(first, last) - high)) <= most
     before, after = moving_mean(x, JUMP_ROWS // 2)[: -JUMP_ROWS - 1], moving_mean(x, JUMP_ROWS // 2)[JUMP_ROWS + 1 :]
@@ -292,7 +294,7 @@ def _refined(difference: Array, matrix: Array, low: int, high: int, most: int) -
     def error(begin: int, end: int) -> float:
         y = x.copy()
         y[begin:end] *= -1.0
-        predicted, _ = robust_prediction(y, a)
+        predicted, _ = predict(y)
         return float(np.nansum(np.minimum(np.abs(y - predicted), 2.0 * scale)))
 
     begin, end = low - first, high - first

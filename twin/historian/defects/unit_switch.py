@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.historian.defects.panel import TagPanel, design_matrix, panel, robust_prediction
+from twin.historian.defects.panel import RobustPredictor, TagPanel, design_matrix, panel
 from twin.historian.defects.unit_edges import Edge, unit_edges
 from twin.historian.tags import Array, Defect, Mask, Series
 from twin.historian.units import Unit, alternatives, full_speed_of, unit_of
@@ -81,7 +81,23 @@ class _Span:
     odds: float
 
 
-def unit_switches(series: Sequence[Series], full_speed: str = "60 Hz") -> list[Switch]:
+class TagEdges:
+    """Edges of changes of unit of a station's tags, found once for each series."""
+
+    def __init__(self, full_speed: str = "60 Hz") -> None:
+        """Look for the units that a fan's speed may have by `full_speed`, its speed at 100 %, with its unit."""
+        self.full_speed = full_speed
+        self._found: dict[str, tuple[Series, list[tuple[str, Unit, list[Edge]]]]] = {}
+
+    def of(self, series: Series) -> list[tuple[str, Unit, list[Edge]]]:
+        """Return the units that a tag may have changed to, with the edges of such a change."""
+        name = series.tag.name
+        if name not in self._found or self._found[name][0] is not series:
+            self._found[name] = series, _edges_of(series, self.full_speed)
+        return self._found[name][1]
+
+
+def unit_switches(series: Sequence[Series], full_speed: str = "60 Hz", edges: TagEdges | None = None) -> list[Switch]:
     """Return the spans in which tags are in another unit.
 
     Parameters
@@ -90,11 +106,14 @@ def unit_switches(series: Sequence[Series], full_speed: str = "60 Hz") -> list[S
         Good samples of the tags, in the units of the dictionary.
     full_speed
         Speed of a fan at 100 %, with its unit: a share and a frequency are units of one quantity.
+    edges
+        Of an earlier search at the same `full_speed`, kept for the series that have not changed since.
     """
     found: list[Switch] = []
     series = list(series)
+    edges = edges or TagEdges(full_speed)
     for _ in range(MOST):
-        new = _switches(panel(series), full_speed)
+        new = _switches(panel(series), edges)
         if not new:
             break
         found += new
@@ -111,9 +130,9 @@ def converted(series: Series, switch: Switch) -> Series:
     return replace(series, value=np.where(inside, again, series.value))
 
 
-def _switches(table: TagPanel, full_speed: str) -> list[Switch]:
+def _switches(table: TagPanel, edges_of: TagEdges) -> list[Switch]:
     """Return the most probable switch of each tag that has one."""
-    edges = [_edges_of(one, full_speed) for one in table.series]
+    edges = [edges_of.of(one) for one in table.series]
     leaps = [
         np.array(sorted({e.after_s for _, _, found in of_tag for e in found if e.odds >= LEAPS})) for of_tag in edges
     ]
@@ -122,10 +141,13 @@ def _switches(table: TagPanel, full_speed: str) -> list[Switch]:
         if not edges[k]:
             continue
         spans = []
+        predictors: dict[tuple[int, ...], _Witnesses] = {}
         for name, unit, of_unit in edges[k]:
             at = [max((e.odds, e.after_s) for e in of_unit if e.into is way)[1] for way in _ways(of_unit)]
-            matrix = _witnesses(table, k, [j for j in range(len(leaps)) if j != k and not _leaps_too(leaps[j], at)])
-            if (span := _best_span(table, k, name, unit, of_unit, matrix)) is not None:
+            drivers = tuple(j for j in range(len(leaps)) if j != k and not _leaps_too(leaps[j], at))
+            if drivers not in predictors:
+                predictors[drivers] = _Witnesses(table, k, drivers)
+            if (span := _best_span(table, k, name, unit, of_unit, predictors[drivers])) is not None:
                 spans.append(span)
         if spans:
             most = max(span.odds for span in spans)
@@ -174,7 +196,15 @@ def _leaps_too(leaps_s: Array, at_s: Sequence[float]) -> bool:
     return bool(len(leaps_s)) and all(np.abs(leaps_s - one).min() <= TOGETHER_S for one in at_s)
 
 
-def _witnesses(table: TagPanel, k: int, drivers: list[int]) -> Array:
+class _Witnesses:
+    """Prediction of a tag by some of the others, `plain` that of its values as they stand."""
+
+    def __init__(self, table: TagPanel, k: int, drivers: Sequence[int]) -> None:
+        self.predict = RobustPredictor(_witnesses(table, k, drivers))
+        self.plain = self.predict(table.values[k])
+
+
+def _witnesses(table: TagPanel, k: int, drivers: Sequence[int]) -> Array:
     """Return what predicts a tag: the other tags, and the laws that tie a fan's power to its speed."""
     drivers = [j for j in drivers if unit_of(table.series[j].tag.unit).dimension != "angle"]
     rows = [table.values[j] for j in drivers]
@@ -190,7 +220,9 @@ def _witnesses(table: TagPanel, k: int, drivers: list[int]) -> Array:
     return design_matrix(np.stack(rows))
 
 
-def _best_span(table: TagPanel, k: int, name: str, unit: Unit, edges: list[Edge], matrix: Array) -> _Span | None:
+def _best_span(
+    table: TagPanel, k: int, name: str, unit: Unit, edges: list[Edge], witnesses: _Witnesses
+) -> _Span | None:
     """Return the most probable span of a tag in a unit, or None."""
     grid, x, own = table.grid_s, table.values[k], unit_of(table.series[k].tag.unit)
     other = np.asarray(unit.scale * (x - own.offset) / own.scale + unit.offset)
@@ -206,14 +238,14 @@ def _best_span(table: TagPanel, k: int, name: str, unit: Unit, edges: list[Edge]
         return None
     rows = np.array([[np.searchsorted(grid, low), np.searchsorted(grid, high, side="right")] for low, high, _ in pairs])
     edge_odds = np.array([odds for _, _, odds in pairs])
-    plain = robust_prediction(x, matrix)
+    predict, plain = witnesses.predict, witnesses.plain
     first = [np.zeros(len(x), dtype=bool)]
     for at in np.argsort(-edge_odds, kind="stable")[:STARTS]:
         first.append(_inside(len(x), rows[at]))
     tried: set[int] = set()
     for mask in first:
         for _ in range(ROUNDS):
-            predicted, sigma = robust_prediction(np.where(mask, other, x), matrix) if mask.any() else plain
+            predicted, sigma = predict(np.where(mask, other, x)) if mask.any() else plain
             gain = 0.5 * (((x - predicted) / sigma) ** 2 - ((other - predicted) / sigma) ** 2)
             total = np.concatenate([[0.0], np.cumsum(np.clip(np.nan_to_num(gain), -CAP, CAP))])
             at = int(np.argmax(total[rows[:, 1]] - total[rows[:, 0]] + edge_odds))
@@ -227,7 +259,7 @@ def _best_span(table: TagPanel, k: int, name: str, unit: Unit, edges: list[Edge]
         if odds_of < SURE_EDGES and table.series[k].tag.role in UNWITNESSED:
             continue
         inside = _inside(len(x), rows[at])
-        predicted, _ = robust_prediction(np.where(inside, other, x), matrix)
+        predicted, _ = predict(np.where(inside, other, x))
         odds_of_rows = _judged(x, other, (plain[0], predicted), inside, unit.scale / own.scale, odds_of >= SURE_EDGES)
         total_odds = odds_of + odds_of_rows - float(np.log(len(pairs)))
         if total_odds >= LEAST_ODDS:
