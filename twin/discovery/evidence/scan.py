@@ -164,6 +164,7 @@ def refined(score_test: ScoreTest, entry: Entry, beside: Joint | None = None) ->
             and 0.0 <= s.into_s <= s.duty * s.growth_s
             and (s.name not in TIMED or s.growth_s > NEAREST_S)
             and (s.name != "pulse" or s.onset_s > EARLY_S)
+            and (s.name != "spell" or s.onset_s >= score_test.step_s or s.onset_s + s.growth_s > EARLY_S)
         ]
         found = at(tried) if tried else None
         if found is not None and found[0] > best:
@@ -311,6 +312,9 @@ def _spells(
     sums, tops = np.zeros((b + 1, b + 1)), np.concatenate([[0.0], np.cumsum(score)])
     sums[1:, 1:] = gram.cumsum(axis=0).cumsum(axis=1)
     first, last = _spans(b)
+    # What is there from the beginning and ends so early is a state that was not at rest.
+    later = (first > 0) | (last * score_test.step_s > EARLY_S)
+    first, last = first[later], last[later]
     if not len(first):
         return []  # so short a record has no room for one
     upto = np.diag(sums)
