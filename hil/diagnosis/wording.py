@@ -46,6 +46,13 @@ def ambiguity_group(document: dict[str, Any]) -> list[dict[str, Any]]:
     return [a for a in document["indistinguishable"] if (a["kind"], a["where"], a["driver"]) not in answers]
 
 
+def likeness(document: dict[str, Any], other: dict[str, Any]) -> str:
+    """Return how an explanation of the ambiguity group differs from the answer, in words."""
+    alone = any((e["kind"], e["where"]) == (other["kind"], other["where"]) for e in document["effects"])
+    same = "not distinguishable in this record"
+    return f"{same}: the same cause, but for what it follows" if alone else same
+
+
 def reasons(document: dict[str, Any]) -> list[str]:
     """Return the evidence for the answer, or against adopting one: a sentence each."""
     return [text for text in (chance(document), left_out(document)) if text]

@@ -7,7 +7,7 @@ from typing import Any
 
 from hil.diagnosis.page.figures import pictures
 from hil.diagnosis.store import PAGE, Findings, read_findings
-from hil.diagnosis.wording import after_label, ambiguity_group, at_rest, grown, plain, reasons
+from hil.diagnosis.wording import after_label, ambiguity_group, at_rest, grown, likeness, plain, reasons
 from hil.files import Html, document, element, image, joined, replacing
 
 PAGE_STYLE = """
@@ -257,7 +257,7 @@ def _effects(d: dict[str, Any]) -> Html:
 
 
 def _alternatives(d: dict[str, Any]) -> Html:
-    rows = [[plain(a), _share(a), "not distinguishable in this record"] for a in ambiguity_group(d)]
+    rows = [[plain(a), _share(a), likeness(d, a)] for a in ambiguity_group(d)]
     rows += [[plain(a), _share(a), a["why_not"]] for a in d["alternatives"]]
     head = ["explanation", "confidence", "reason for rejection"]
     return joined([element("h3", "Other explanations"), _table(head, rows)]) if rows else NOTHING

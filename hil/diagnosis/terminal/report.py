@@ -7,7 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hil.diagnosis.terminal.table import error_table, errors_of, held_out
-from hil.diagnosis.wording import reasons
+from hil.diagnosis.wording import ambiguity_group, likeness, reasons
 from twin.discovery import Diagnosis
 
 
@@ -53,11 +53,8 @@ def print_diagnosis(to: Console, d: Diagnosis) -> None:
         table = Table(title="Other explanations", title_justify="left")
         for heading in ("kind", "place", "driver", "reason for rejection"):
             table.add_column(heading)
-        answers = {(e.kind, e.where, e.driver) for e in d.effects}
-        for a in d.indistinguishable:
-            if (a.kind, a.where, a.driver) in answers:
-                continue
-            table.add_row(a.kind, a.where, a.driver, "not distinguishable in this record", style="bold")
+        for one in ambiguity_group(document):
+            table.add_row(one["kind"], one["where"], one["driver"], likeness(document, one), style="bold")
         for a in d.alternatives[:8]:
             table.add_row(a.kind, a.where, a.driver, a.why_not)
         to.print(table)
