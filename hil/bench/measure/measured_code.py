@@ -75,7 +75,15 @@ MEASURED: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "fleet": {"fleet": (*_DISCOVERY, "hil/bench/fleet.py", "hil/executor", "hil/fleet")},
     "sinks": {
-        "sinks": (*_LOOP, "hil/alarms", "hil/bench/sinks.py", "hil/export", "hil/panel", "hil/run_folder", "hil/stream")
+        "sinks": (
+            *_LOOP,
+            "hil/alarms",
+            "hil/bench/sinks.py",
+            "hil/export",
+            "hil/panel/*.py",
+            "hil/run_folder",
+            "hil/stream",
+        )
     },
     "posterior": {
         "posterior": (*_FITS, "drivers/virtual/plant", "hil/bench/posterior", "hil/synthetic", "hil/tracking")

@@ -17,9 +17,11 @@ ROWS, STEP_S = 360, 60.0
 
 @pytest.mark.skipif(not any(shutil.which(name) for name in ("cc", "gcc", "clang")), reason="no C compiler is installed")
 def test_a_commissioned_cell_is_simulated_as_its_twin_does(plant: Path, tmp_path: Path) -> None:
+    from fmpy.validation import validate_fmu
+
     network = load(plant / "cell1.toml")
     path = export_twin(plant / "cell1.toml", tmp_path / "cell.fmu").path
-    assert not fmpy.validation.validate_fmu(str(path))
+    assert not validate_fmu(str(path))
     row = np.arange(ROWS)
     nominal = dict(zip(network.input_columns, network.nominal_inputs, strict=True))
     columns = {
