@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.executor.asking import TaskError, ask
+    from hil.executor.asking import TaskError, ask, in_parallel
     from hil.executor.contract import (
         Answer,
         Executor,
@@ -41,13 +41,14 @@ __all__ = [
     "WorkerLostError",
     "ask",
     "check_options",
+    "in_parallel",
     "opened",
 ]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "asking": ("TaskError", "ask"),
+        "asking": ("TaskError", "ask", "in_parallel"),
         "contract": (
             "Answer",
             "Executor",

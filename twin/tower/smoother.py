@@ -2,7 +2,7 @@
 
 The deviations are constant within a cell of the grid and walk at random from one to the next, a fill about a rate that
 is unknown and lasts; a documented event opens a jump at its date. Where nothing was read for days, a jump that nobody
-announced cannot be told, so the walk takes its variance there.
+announced is not detectable, so the walk takes its variance there.
 The prior of a deviation is that of a part that wears: its mean a third of the bound on the lossy side, its standard
 deviation a third of the bound, so that the bound is two standard deviations below and a gain of a third of it two
 above. A thermometer's bias has mean 0. Residuals of the model are correlated in time, so a block of them counts as less
@@ -48,7 +48,7 @@ RATE_D = {"fill": 1.0 / 1200.0, "air": 1.0 / 1200.0, "uniformity": 1.0 / 1200.0,
 """Undeclared changes a day. One thermometer in a plant steps or is exchanged some three times a year; a cell is cleaned
 two or three times, and one entry in eight is missing."""
 UNREAD_S = 5.0 * DAY_S
-"""Days without a reading from which a jump in them cannot be told: the least time between two that a search tells
+"""Days without a reading from which a jump in them is not detectable: the least time between two that a search tells
 apart (`change_detection`)."""
 PASSES = 20
 RESCALED = 5

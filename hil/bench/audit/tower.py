@@ -203,9 +203,9 @@ def loss_terms(trainer: TowerTrainer) -> list[LossTerm]:
 
     def batches() -> Iterator[dict[str, Any]]:
         for _ in range(BATCHES):
-            batch, pairs, own = trainer._batch()
+            batch, pairs, own = trainer.sampled()
             p = trainer.network(batch.x, batch.m, batch.regime, batch.clock, batch.meta, memory=batch.memory)
-            parameters, outputs, rest = trainer._losses(p, batch, pairs, own)
+            parameters, outputs, rest = trainer.losses_of(p, batch, pairs, own)
             yield {"outputs": outputs, "parameters": trainer.even * parameters, "likelihoods and the rest": rest}
 
     return weighed(trainer.network, batches())

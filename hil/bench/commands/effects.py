@@ -54,6 +54,8 @@ def effects_command(
 ) -> None:
     """Find power that a twin lacks within two windows of its onset, on simulated plants that no training saw.
 
+    The seed is that of the plants; with --train, of weights and batches, and the plants are those of seed 0.
+
     \b
     Example:
       hil bench effects --train --minutes 9
@@ -69,8 +71,15 @@ def effects_command(
 
     member = None if training else load_effects(network)
     splits = [replace(s, rigs=min(s.rigs, QUICK_RIGS)) for s in store.SPLITS] if quick else list(store.SPLITS)
+    rigs = 0 if training else seed
+    data = data / f"seed_{rigs}" if rigs else data
     request = session.EffectsRequest(
-        session.EffectsPlan(steps=steps, seed=seed), data, data.with_name(f"{data.name}_{seed}"), network, _typed()
+        session.EffectsPlan(steps=steps, seed=seed),
+        data,
+        data.with_name(f"{data.name}_{seed}"),
+        network,
+        _typed(),
+        rigs,
     )
     wanted = splits[:2] if training else splits[1:]
     with Stop(minutes) as stop:
@@ -89,7 +98,7 @@ def effects_command(
             return
     assert member is not None
     done = trial.judge_all(data, member, lambda text: click.echo(text, err=True))
-    more = trial.further_tables(data, member, diagnosed, lambda text: click.echo(text, err=True))
+    more = trial.further_tables(data, rigs, member, diagnosed, lambda text: click.echo(text, err=True))
     finish("effects", seed, (*trial.tables(done), *more), (), out, as_json)
 
 

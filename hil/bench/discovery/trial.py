@@ -14,7 +14,6 @@ import importlib.util
 import json
 import threading
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from hil.bench.discovery.ledger import Ledger, sha256_of
 from hil.bench.discovery.score import AnswerScore, judge
 from hil.bench.discovery.sides import COMMISSIONING, ablate_case, answer_case, commission_specimen, make_case
 from hil.bench.discovery.worker import PROJECT
-from hil.executor import Executor, ExecutorOptions, ask
+from hil.executor import Executor, ExecutorOptions, ask, in_parallel
 from hil.executor import opened as opened_executor
 from hil.files import replacing
 from hil.synthetic import setting
@@ -168,20 +167,15 @@ def measure(
     TaskError, ExecutorError
         A side failed, or the workers cannot be used.
     """
-    finished, lock = 0, threading.Lock()
     with opened_executor(place, lambda message: None) as executor:
         trial = BlindTrial(size, seed, work, executor)
-
-        def run(job: tuple[str, int]) -> FinishedCase:
-            nonlocal finished
-            done = trial.run(*job)
-            with lock:
-                finished += 1
-                progress(finished / len(size.jobs), f"{done.outcome.case}: {done.outcome.verdict}")
-            return done
-
-        with ThreadPoolExecutor(jobs or max(executor.slots(), 1)) as pool:
-            return list(pool.map(run, size.jobs))
+        return in_parallel(
+            executor,
+            size.jobs,
+            lambda job: trial.run(*job),
+            lambda share, one: progress(share, f"{one.outcome.case}: {one.outcome.verdict}"),
+            jobs,
+        )
 
 
 def sources(folder: Path, more: Iterable[Path]) -> str:

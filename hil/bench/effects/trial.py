@@ -279,14 +279,14 @@ def _errors(both: Sequence[Judged]) -> ReportTable:
 
 
 def further_tables(
-    folder: Path, member: EffectsMember, diagnosed: int, say: Callable[[str], None] = lambda _: None
+    folder: Path, seed: int, member: EffectsMember, diagnosed: int, say: Callable[[str], None] = lambda _: None
 ) -> tuple[ReportTable, ...]:
     """Return the tables of latency and of agreement with the diagnosis.
 
     Parameters
     ----------
-    folder
-        Folder of simulated rigs.
+    folder, seed
+        Folder of simulated rigs, and their seed.
     member
         The network.
     diagnosed
@@ -294,15 +294,15 @@ def further_tables(
     say
         Function that gets what is under way.
     """
-    found = [_latency(member)]
+    found = [_latency(seed, member)]
     if diagnosed:
-        found.append(_agreement(folder, member, diagnosed, say))
+        found.append(_agreement(folder, seed, member, diagnosed, say))
     return tuple(found)
 
 
-def _latency(member: EffectsMember) -> ReportTable:
+def _latency(seed: int, member: EffectsMember) -> ReportTable:
     """Return the time from the samples of a window to its answer, on one thread, for all windows of a record."""
-    rig = make_rig(*planned(SPLITS[2], 0)[0])
+    rig = make_rig(*planned(SPLITS[2], seed)[0])
     kept: list[Record] = []
     make_records(rig, 1, kept=kept)
     (record,) = kept
@@ -323,14 +323,14 @@ def _latency(member: EffectsMember) -> ReportTable:
     )
 
 
-def _agreement(folder: Path, member: EffectsMember, count: int, say: Callable[[str], None]) -> ReportTable:
+def _agreement(folder: Path, seed: int, member: EffectsMember, count: int, say: Callable[[str], None]) -> ReportTable:
     """Return the answers of network and diagnosis on visible records, from the whole record."""
     rows: list[tuple[Cell, ...]] = []
     for split in SPLITS[2:]:
         for k, stored in enumerate(read(folder, split)):
             if len(rows) >= count * (SPLITS.index(split) - 1) // 2:
                 break
-            one = _compared(split, k, stored, member)
+            one = _compared(split, seed, k, stored, member)
             rows += [one] if one else []
             say(f"diagnosed {len(rows)} of {count}")
     columns = ("plant", "truth", "accepted", "network", "diagnosis", "verdict", "same place")
@@ -340,7 +340,7 @@ def _agreement(folder: Path, member: EffectsMember, count: int, say: Callable[[s
     )
 
 
-def _compared(split: Split, k: int, stored: StoredRig, member: EffectsMember) -> tuple[Cell, ...] | None:
+def _compared(split: Split, seed: int, k: int, stored: StoredRig, member: EffectsMember) -> tuple[Cell, ...] | None:
     """Return the row of the rig's first visible record; None without one."""
     memory = stored.memory()
     index = next((j for j, r in enumerate(stored.records) if float(r.truth["early"][0]) >= VISIBLE), None)
@@ -351,9 +351,9 @@ def _compared(split: Split, k: int, stored: StoredRig, member: EffectsMember) ->
     last = int(np.argmax(course.statistic))
     warned = bool(course.statistic[last] > member.threshold)
     named = stored.hypotheses[int(course.hypothesis[last])]
-    rig = make_rig(*planned(split, 0)[k])
+    rig = make_rig(*planned(split, seed)[k])
     kept: list[Record] = []
-    make_records(rig, index + 1, effects_of(split, 0, k), kept=kept)
+    make_records(rig, index + 1, effects_of(split, seed, k), kept=kept)
     clocked = with_clock(rig.network)
     answer = diagnose(clocked, columns_of(clocked, kept[index], START_H), columns_of(clocked, rig.healthy, START_H))
     place = answer.effects[0].where if answer.effects else "-"

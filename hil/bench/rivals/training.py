@@ -71,7 +71,7 @@ class WindowPool:
         config = replace(SUBJECT.config("small"), trees=())
         plan = TowerPlan(steps=1, batch=CUT, pairs=0.0, seed=seed)
         self.sampler = TowerTrainer(config, fleet, plan)
-        parts = [self.sampler._batch()[0] for _ in range(max(count // CUT, 1))]
+        parts = [self.sampler.sampled()[0] for _ in range(max(count // CUT, 1))]
         self.windows = _joined(parts)
         network = self.sampler.network
         assert network.middle is not None and network.spread is not None
@@ -83,8 +83,8 @@ class WindowPool:
     def drawn(self, index: Tensor) -> tuple[CellBatch, Tensor]:
         """Return windows (B,) with hidden names of their plants, and their mask with hidden parts."""
         batch = taken(self.windows, index)
-        meta, memory, clock = self.sampler._unnamed(batch)
-        return replace(batch, meta=meta, memory=memory, clock=clock), self.sampler._hide(batch)
+        meta, memory, clock = self.sampler.unnamed(batch)
+        return replace(batch, meta=meta, memory=memory, clock=clock), self.sampler.hidden(batch)
 
 
 def cut(fleet: Fleet, rows: NDArray[np.int64]) -> CellBatch:

@@ -11,7 +11,6 @@ import dataclasses
 import json
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from hil.bench.zoo.effects import EFFECTS, NoSuchPlaceError
 from hil.bench.zoo.plan import Planned, plan
 from hil.bench.zoo.plants import SEALED, START_H
 from hil.bench.zoo.score import ZooScore, judge
-from hil.executor import Executor, ExecutorOptions, ask
+from hil.executor import Executor, ExecutorOptions, ask, in_parallel
 from hil.executor import opened as opened_executor
 from hil.files import replacing
 
@@ -132,19 +131,8 @@ def measure(
         The workers cannot be used.
     """
     planned = plan(size.which, size.cases, size.healthy, size.seed)
-    finished = 0
-    lock = threading.Lock()
-
     with opened_executor(place, lambda message: None) as executor:
         trial = ZooTrial(size.which, size.seed, work, executor)
-
-        def run(case: Planned) -> ZooScore:
-            nonlocal finished
-            done = trial.run(case)
-            with lock:
-                finished += 1
-                progress(finished / len(planned), f"{done.case}: {done.outcome}")
-            return done
-
-        with ThreadPoolExecutor(jobs or max(executor.slots(), 1)) as pool:
-            return list(pool.map(run, planned))
+        return in_parallel(
+            executor, planned, trial.run, lambda share, one: progress(share, f"{one.case}: {one.outcome}"), jobs
+        )

@@ -147,7 +147,7 @@ class TowerTrainer:
         minute = (self._uniform(count) * (CONTEXT - TARGET)).long()
         return Jump(torch.where(chance < self.plan.jumped, which, -1), size, minute)
 
-    def _hide(self, batch: CellBatch) -> Tensor:
+    def hidden(self, batch: CellBatch) -> Tensor:
         """Return the mask less what an archive may lose: channels, and all measurements for a while."""
         b, n, c = batch.m.shape
         lost = (self._uniform(b, 1) < self.plan.dropped) & (self._uniform(b, c) < 0.5 * self._uniform(b, 1))
@@ -157,7 +157,7 @@ class TowerTrainer:
         silent = (self._uniform(b, 1) < self.plan.burst) & (step >= start) & (step < start + length)
         return batch.m & ~lost[:, None] & ~(silent[..., None] & self.fleet.told)
 
-    def _unnamed(self, batch: CellBatch) -> tuple[Tensor, Tensor, Tensor]:
+    def unnamed(self, batch: CellBatch) -> tuple[Tensor, Tensor, Tensor]:
         """Return static numbers, memory and clock, each without the numbers that identify a plant in some windows.
 
         A network must not memorise its plants.
@@ -183,12 +183,12 @@ class TowerTrainer:
         """Take one step; return its losses, every tenth one, else None (reading them waits for the device)."""
         for group in self.optimiser.param_groups:
             group["lr"] = self.rate()
-        batch, pairs, own = self._batch()
+        batch, pairs, own = self.sampled()
         causal = self.done % 2 == 1
-        meta, memory, clock = self._unnamed(batch)
+        meta, memory, clock = self.unnamed(batch)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.plan.half):
-            p = self.network(batch.x, self._hide(batch), batch.regime, clock, meta, causal=causal, memory=memory)
-        parameters, outputs, rest = self._losses(p, batch, pairs, own)
+            p = self.network(batch.x, self.hidden(batch), batch.regime, clock, meta, causal=causal, memory=memory)
+        parameters, outputs, rest = self.losses_of(p, batch, pairs, own)
         if self.done % self.plan.even_every == 0 and self.done >= self.plan.even_every:
             self._make_even(parameters, outputs)
         total = outputs + self.even * parameters + rest
@@ -210,7 +210,7 @@ class TowerTrainer:
             )
         return found
 
-    def _batch(self) -> tuple[CellBatch, Tensor, bool]:
+    def sampled(self) -> tuple[CellBatch, Tensor, bool]:
         """Return windows, pairs of rows that follow each other, and True for windows of the station itself."""
         count = self.plan.batch
         if self.own is not None and self.own_rows is not None and self._alternate():
@@ -256,7 +256,8 @@ class TowerTrainer:
         error = torch.where(unjudged, nan, water - batch.true_water) / TOLERANCE
         return error, reading
 
-    def _losses(self, p: Prediction, batch: CellBatch, pairs: Tensor, own: bool) -> tuple[Tensor, Tensor, Tensor]:
+    def losses_of(self, p: Prediction, batch: CellBatch, pairs: Tensor, own: bool) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the losses of parameters and of outputs, and the rest, of what `sampled` returned."""
         delta = p.delta[..., 0].float()
         error, reading = self._errors(batch, p.theta, delta)
         shown = reading if own else error
