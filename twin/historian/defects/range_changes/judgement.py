@@ -1,0 +1,272 @@
+"""Judgement of a leap by the other tags: they rest, go with the mapped readings, and do not explain the leap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from twin.historian.defects.panel import RobustPredictor, TagPanel, design_matrix
+from twin.historian.defects.range_changes.candidates import LAW_APART, LAW_S, USUAL, LeapCandidate
+from twin.historian.defects.range_changes.maps import (
+    BACK,
+    EXPLAINS,
+    LEAST_ROWS,
+    Leap,
+    ScaleFit,
+    fit_with_map,
+    fitted_map,
+)
+from twin.historian.defects.range_changes.readings import (
+    FANS,
+    LEAST,
+    LEAST_KPA,
+    WEATHER,
+    canonical,
+    is_ratio,
+    law_ratio,
+    least_ratio,
+    related,
+)
+from twin.historian.tags import Array, Mask, Series
+from twin.historian.units import unit_of
+
+HOUR_S = 3600.0
+UNUSUAL = 6.0
+"""Usual changes of a tag within the hour about a leap, from which it moved as well. A plant's changes have heavy
+tails."""
+AFTER_S = 5.0 * 86400.0, 43200.0
+"""Times after a leap over which it must last; the second is for a range that is soon corrected."""
+BEFORE_S = 5.0 * 86400.0
+SURER = 2.0
+"""Ratio of the doubts of two maps from which the shorter time's is taken."""
+HIDDEN_ROWS = 96
+"""The same of a leap that no sample shows, a day: as many as tags that predict explain any few rows."""
+CLEARLY = 1.25
+"""Distance from the prediction, as a multiple of that of the other map, up to which a flow, power or pressure is taken
+to keep its zero, and a temperature its span."""
+ALIKE = 1e-6
+"""Ridge of those sums of squares, as a share of the rows: far below what a tag tells."""
+STEP_EXPLAINS = 1.5
+"""Ratio of the sums of squares without and with a step, from which a leap beside others is judged at all."""
+EDGE = 0.5
+"""Share of a step between samples by which the map of days may differ from it."""
+
+
+def unusual_changes(table: TagPanel) -> Array:
+    """Return the changes of each tag over the hour about each row, in usual ones (tags, m); NaN where unknown."""
+    rows = round(HOUR_S / (table.grid_s[1] - table.grid_s[0])) if len(table.grid_s) > 1 else 1
+    change = np.full_like(table.values, np.nan)
+    if table.values.shape[1] > 2 * rows:
+        change[:, rows:-rows] = np.abs(table.values[:, 2 * rows :] - table.values[:, : -2 * rows])
+    found = np.full_like(change, np.nan)
+    for k, one in enumerate(table.series):
+        if (
+            unit_of(one.tag.unit).dimension == "angle"
+            or one.tag.role == "wind_speed"
+            or not np.isfinite(change[k]).any()
+        ):
+            continue
+        usual = float(np.nanquantile(change[k], USUAL[0])) / USUAL[1]
+        if unit_of(one.tag.unit).dimension == "state":
+            found[k] = np.where(change[k] > 0.0, np.inf, 0.0)
+        else:
+            found[k] = change[k] / max(usual, 1e-9)
+    return found
+
+
+def others_moved(table: TagPanel, k: int, at_s: float, unusual: Array) -> bool:
+    """Return whether another tag of the cell or the station moved unusually within the hour about a time.
+
+    The weather does not follow the plant, so only its own instruments count for it.
+    """
+    row = int(np.clip(np.searchsorted(table.grid_s, at_s), 0, len(table.grid_s) - 1))
+    moved = np.nanmax(np.nan_to_num(unusual[:, max(row - 1, 0) : row + 2], posinf=np.inf), axis=1) > UNUSUAL
+    weather = table.series[k].tag.role in WEATHER
+    counts = [
+        j != k and related(table, k, j) and (not weather or one.tag.role in WEATHER)
+        for j, one in enumerate(table.series)
+    ]
+    return bool((moved & np.array(counts)).any())
+
+
+def return_map(table: TagPanel, k: int, at: LeapCandidate, leaps: Sequence[Leap]) -> tuple[float, float] | None:
+    """Return factor and constant of a leap that goes back by what the leaps of the tag before it have left, so that it
+    ends their span; None for another leap."""
+    x, at_s = canonical(table.series[k]), float(table.series[k].time_s[at.row])
+    factor, constant = 1.0, 0.0
+    for leap in (one for one in leaps if one.after_s <= at_s):
+        factor, constant = factor * leap.factor, constant * leap.factor + leap.constant
+    if np.isclose(factor, 1.0) and np.isclose(constant, 0.0, atol=1e-6):
+        return None
+    inverse = 1.0 / factor, -constant / factor
+    # The table holds the readings mapped already: a return leaves them short by the same map.
+    before, after = at.sides(x)
+    if constant == 0.0:
+        wanted, seen = -float(np.log(factor)), float(np.log(after / before)) if min(before, after) > 0.0 else np.inf
+    else:
+        wanted, seen = inverse[0] * before + inverse[1] - before, after - before
+    return inverse if abs(seen - wanted) < BACK * abs(wanted) else None
+
+
+def _witnesses(table: TagPanel, k: int, rows: slice) -> Array:
+    """Return what predicts a tag over some rows: the other tags, and the laws that tie them."""
+    tag = table.series[k].tag
+    drivers = [
+        j
+        for j, one in enumerate(table.series)
+        if j != k and unit_of(one.tag.unit).dimension != "angle" and related(table, k, j)
+    ]
+    values = [table.values[j, rows] for j in drivers]
+    for j in drivers:
+        role = table.series[j].tag.role
+        if tag.role == "fan_power" and role.startswith("fan_speed"):
+            values.append(table.values[j, rows] ** 3)
+        elif tag.role == "fan_speed" and role == "fan_power":
+            values.append(np.cbrt(table.values[j, rows]))
+    return design_matrix(np.stack(values)) if values else np.ones((rows.stop - rows.start, 1))
+
+
+def judged_leap(
+    table: TagPanel, k: int, at: LeapCandidate, back: tuple[float, float] | None, rest: float | None, *, alone: bool
+) -> Leap | None:
+    """Return a leap of a tag with its map, or None if the other tags do not bear it out.
+
+    The longest time over which it may last tells its map best, unless a shorter one leaves much less doubt: the longer
+    one may hold its return.
+
+    Parameters
+    ----------
+    back
+        Map of a return, which is tried before any other.
+    rest
+        Reading up to which the tag is at rest, in the record's unit; None for a tag that has no rest.
+    alone
+        No other tag moved then. Else the evidence must be decisive.
+    """
+    found = [
+        one for last_s in AFTER_S if (one := _judged_over(table, k, at, back, rest, last_s, alone=alone)) is not None
+    ]
+    least = min((one.doubt for one in found), default=0.0)
+    return next((one for one in found if one.doubt <= SURER * least), None)
+
+
+def _judged_over(
+    table: TagPanel,
+    k: int,
+    at: LeapCandidate,
+    back: tuple[float, float] | None,
+    rest: float | None,
+    last_s: float,
+    *,
+    alone: bool,
+) -> Leap | None:
+    """Return a leap with its map by the readings up to `last_s` after it, or None."""
+    series, grid = table.series[k], table.grid_s
+    before_s, after_s = float(series.time_s[at.row]), float(series.time_s[at.after])
+    low, high = np.searchsorted(grid, (before_s - BEFORE_S, after_s + last_s)).tolist()
+    rows = slice(low, high)
+    x = table.values[k, rows]
+    if rest is not None:
+        x = np.where(np.abs(x) > rest, x, np.nan)
+    x = np.where((grid[rows] > before_s) & (grid[rows] < after_s), np.nan, x)
+    after = grid[rows] >= after_s
+    if _fewest(x, after) < (HIDDEN_ROWS if at.hidden else LEAST_ROWS):
+        return None
+    matrix = _witnesses(table, k, rows)
+    if not alone and not _step_explains(x, after, matrix):
+        return None
+    predict = RobustPredictor(matrix)
+    plain, _ = predict(x)
+    returned = None if back is None else fit_with_map(x, after, predict, *back)
+    if back is not None and returned is not None and returned.is_borne_out(x - plain, after, alone=True):
+        return Leap(before_s, after_s, *back, returned.doubt(after), at.hidden)
+    if np.nansum(np.abs(x - plain)) <= EXPLAINS * _least_leap(series, at, x[after]) * _fewest(x, after):
+        return None  # whatever the map: no prediction is nearer than the readings themselves
+    usual_map = is_ratio(series) or series.tag.role in FANS
+    by_law = _by_law(table, k, at)
+    fits = [fitted_map(x, after, predict, ratio=ratio, first=by_law) for ratio in (usual_map, not usual_map)]
+    errors = [np.inf if one is None else one.error for one in fits]
+    fit = fits[0] if errors[0] <= CLEARLY * errors[1] else fits[1]
+    if fit is None or not fit.is_borne_out(x - plain, after, alone=alone):
+        return None
+    if not _large(series, at, fit) or not (at.hidden or _at_the_edge(series, at, fit)):
+        return None
+    as_the_law = by_law is not None and fit.constant == 0.0 and abs(float(np.log(by_law / fit.factor))) < LAW_APART
+    if at.hidden and by_law is not None and not as_the_law:
+        return None
+    factor = by_law if by_law is not None and as_the_law else fit.factor
+    return Leap(before_s, after_s, factor, fit.constant, fit.doubt(after), at.hidden)
+
+
+def _step_explains(x: Array, after: Mask, matrix: Array) -> bool:
+    """Return whether a step leaves much less of a tag than the other tags alone do, by least squares."""
+    rows = np.isfinite(x)
+    columns = np.column_stack([matrix[rows], after[rows].astype(np.float64)])
+    y = x[rows] - x[rows].mean()
+    gram, right = columns.T @ columns, columns.T @ y
+    # Tags that are alike would make the equations singular.
+    gram[np.diag_indices_from(gram)] += ALIKE * len(y)
+    left = []
+    for count in (matrix.shape[1], matrix.shape[1] + 1):
+        found = np.linalg.solve(gram[:count, :count], right[:count])
+        left.append(float(((y - columns[:, :count] @ found) ** 2).sum()))
+    return left[0] > STEP_EXPLAINS * left[1]
+
+
+def _by_law(table: TagPanel, k: int, at: LeapCandidate) -> float | None:
+    """Return the factor of a fan's tag by the law of its fan, over the hours about a leap; None for another tag."""
+    series = table.series[k]
+    if series.tag.role not in FANS:
+        return None
+    ratio = law_ratio(table, k)
+    time_s = series.time_s
+    low, high = np.searchsorted(time_s, (time_s[at.row] - LAW_S, time_s[at.after] + LAW_S)).tolist()
+    change = float(np.nanmedian(ratio[at.after : high]) - np.nanmedian(ratio[low : at.row + 1]))
+    return float(np.exp(change)) if np.isfinite(change) else None
+
+
+def _at_the_edge(series: Series, at: LeapCandidate, fit: ScaleFit) -> bool:
+    """Return whether the map of days is the step that the samples show at the leap.
+
+    The two samples that it joins show it beside what the plant does meanwhile, the levels of some beside their noise.
+    """
+    x = canonical(series)
+    for before, after in (at.sides(x), (float(x[at.row]), float(x[at.after]))):
+        if abs(fit.factor * before + fit.constant - after) <= EDGE * abs(after - before):
+            return True
+    return False
+
+
+def _large(series: Series, at: LeapCandidate, fit: ScaleFit) -> bool:
+    """Return whether the map of days changes the reading at the leap by more than the plant's own faults do."""
+    before, _ = at.sides(canonical(series))
+    mapped = fit.factor * before + fit.constant
+    if not is_ratio(series):
+        return abs(mapped - before) >= LEAST.get(unit_of(series.tag.unit).dimension, LEAST_KPA)
+    return abs(float(np.log(max(mapped, 1e-9) / max(before, 1e-9)))) >= least_ratio(series)
+
+
+def _least_leap(series: Series, at: LeapCandidate, after: Array) -> float:
+    """Return the smallest median leap of the readings `after` (n,) by a map that is large and, of a leap that the
+    samples show, at its edge."""
+    x = canonical(series)
+    levels = at.sides(x)
+    if is_ratio(series):
+        # Of a rise and a fall by one ratio the fall is the smaller change.
+        least = abs(levels[0]) * -float(np.expm1(-least_ratio(series)))
+    else:
+        least = LEAST.get(unit_of(series.tag.unit).dimension, LEAST_KPA)
+    shares = [least / max(abs(levels[0]), 1e-9)]
+    if not at.hidden:
+        pairs = levels, (float(x[at.row]), float(x[at.after]))
+        least = max(least, (1.0 - EDGE) * min(abs(end - start) for start, end in pairs))
+        shares.append((1.0 - EDGE) * min(abs(end - start) / max(abs(start), 1e-9) for start, end in pairs))
+    share = max(shares)
+    return min(least, share / (1.0 + share) * float(np.nanmedian(np.abs(after))))
+
+
+def _fewest(x: Array, after: Mask) -> int:
+    """Return the known readings (m,) of the side of a leap that has fewer."""
+    known = np.isfinite(x)
+    return int(min((known & after).sum(), (known & ~after).sum()))
