@@ -20,6 +20,11 @@ SEVERITIES: tuple[Severity, ...] = ("minor", "major", "critical")
 """Severities, the least first."""
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.:-]*")
 _FILES = ("profile", "rig", "twin")
+_STAND_INS = {
+    "step": {"name": "step-{}", "from": "0 s", "to": "1 s"},
+    "limit": {"id": "limit-{}", "limit": "no trip", "requirement": "none"},
+}
+"""Values in place of mistaken ones, with which the rest of a plan is checked."""
 
 
 class TestPlanError(ValueError):
@@ -137,12 +142,8 @@ def read_plan(path: Path) -> Plan:
         raise TestPlanError(f"{path} cannot be read ({error.strerror}); give the path of a test plan") from error
     except ValueError as error:
         raise TestPlanError(f"{path} {error}") from None
-    try:
-        read = PlanSection.model_validate(document)
-    except ValidationError as error:
-        items = [item for item in error.errors() if item["type"] != "too_short" or not document.get("limit")]
-        raise TestPlanError("\n".join(_sentence(path, text, document, item) for item in items)) from None
     problems: list[str] = []
+    read = _checked(path, text, document, problems)
     files = _paths(path, text, read, problems)
     steps = _steps(path, text, read, problems)
     limits = _limits(path, text, read, {step.name: step for step in steps}, problems)
@@ -160,6 +161,42 @@ def read_plan(path: Path) -> Plan:
         steps=steps,
         limits=limits,
     )
+
+
+def _checked(path: Path, text: str, document: dict[str, Any], problems: list[str]) -> PlanSection:
+    """Return the content of a plan; each mistake is added to `problems` and replaced, so that later checks go on.
+
+    Raises
+    ------
+    TestPlanError
+        The plan has no limit, or its steps or limits are no tables.
+    """
+    try:
+        return PlanSection.model_validate(document)
+    except ValidationError as error:
+        items = [item for item in error.errors() if item["type"] != "too_short" or not document.get("limit")]
+    problems += [_sentence(path, text, document, item) for item in items]
+    try:
+        return PlanSection.model_validate(_replaced(document, [tuple(item["loc"]) for item in items]))
+    except ValidationError:
+        raise TestPlanError("\n".join(problems)) from None
+
+
+def _replaced(document: dict[str, Any], wrong: list[tuple[int | str, ...]]) -> dict[str, Any]:
+    """Return a plan's tables without the values at the places `wrong`, and with stand-ins of those that it needs."""
+    whole = {key: value for key, value in document.items() if (key,) not in wrong}
+    for name, stand_ins in _STAND_INS.items():
+        tables = whole.get(name, [])
+        if not isinstance(tables, list) or not all(isinstance(each, dict) for each in tables):
+            continue
+        kept = [
+            {key: value for key, value in each.items() if (name, number, key) not in wrong}
+            for number, each in enumerate(tables)
+        ]
+        whole[name] = [
+            {key: value.format(number) for key, value in stand_ins.items()} | each for number, each in enumerate(kept)
+        ]
+    return {"id": "plan"} | whole
 
 
 def _sentence(path: Path, text: str, document: dict[str, Any], item: Any) -> str:

@@ -73,6 +73,19 @@ def test_every_mistake_is_named(tmp_path):
     assert [line.partition(": '")[0] for line in found] == ["plan, line 5: limit L1", "plan, line 11: limit L2"]
 
 
+def test_a_malformed_limit_hides_no_mistake_of_another(tmp_path):
+    text = plan_text("T_tank_C < 60", "T_tank_C is warm", "no trip").replace(
+        'requirement = "REQ-1"', 'severity = "bad"'
+    )
+    text = text.replace('id = "L3"', 'id = "L3"\nstep = "no"').replace('id = "small"', "id = 5")
+    found = refused(tmp_path, text)
+    for said in ("requirement of limit L1: is missing", "severity of limit L1: 'bad'", "id: must be text"):
+        assert said in found
+    for said in ("limit L2: 'T_tank_C is warm' has 'is'", "limit L3: there is no step 'no'"):
+        assert said in found
+    assert len(found.splitlines()) == 5
+
+
 def test_a_step_beyond_the_profile_is_named(tmp_path):
     step = '[[step]]\nname = "late"\nfrom = "1 min"\nto = "1 h"'
     assert "plan, line 2: step late ends at 3600 s" in refused(tmp_path, plan_text("T_tank_C < 60", head=step))
