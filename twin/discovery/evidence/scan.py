@@ -244,9 +244,11 @@ def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns
                 continue
             # One that sticks now and then is told by its first time.
             them = [i for i, law in enumerate(laws) if not law.candidate.sticks]
-            if them:
-                known = ([each[i] for i in them] for each in (laws, squares, grams))
-                out += _turns(*known, scores[them], courses, least_rows[them], rest)
+            tops = _tops_of_turns(scores[them], courses)
+            out += [
+                _turn(laws[i], squares[i], scores[i], grams[i], courses, tops[:, n], least_rows[i], rest)
+                for n, i in enumerate(them)
+            ]
     return out
 
 
@@ -260,30 +262,14 @@ def _squares(taken: Array, courses: Array) -> Array:
     return np.asarray(np.einsum("lcj,lcj->lj", shared, shared))
 
 
-def _turns(
-    laws: Sequence[CandidateLaw],
-    squares: Sequence[LawSquares],
-    grams: Sequence[Array],
-    scores: Array,
-    courses: Courses,
-    bottoms: Array,
-    rest: float,
-) -> list[Entry]:
-    """Return the likeliest periodic course of each law, from the beginning or from one of some onsets.
-
-    `scores` are (l, b) of the laws, `bottoms` (l, k) their squares for the few periods that are known. The score
-    resolves the period to the inverse of the record's length. The squares hardly change between these periods, and
-    those of a later onset are about its share of them; the leading courses get exact ones.
-    """
-    _, columns, of = courses.turns
+def _tops_of_turns(scores: Array, courses: Courses) -> Array:
+    """Return the scores (s, l, n) of n periodic courses from each of s onsets, of laws with block scores (l, b)."""
+    _, columns, _ = courses.turns
     cuts = np.linspace(0, scores.shape[1], STARTS + 1).astype(int)
     tops = np.stack([scores[:, i:j] @ columns[i:j] for i, j in itertools.pairwise(cuts)])
     for i in range(len(tops) - 1, 0, -1):
         tops[i - 1] += tops[i]
-    return [
-        _turn(law, squares[i], scores[i], grams[i], courses, tops[:, i], bottoms[i][of], rest)
-        for i, law in enumerate(laws)
-    ]
+    return tops
 
 
 def _turn(
@@ -296,13 +282,15 @@ def _turn(
     bottoms: Array,
     rest: float,
 ) -> Entry:
-    """Return the likeliest periodic course of a law, with the score (s, n) of each of n courses from each of s onsets.
+    """Return the likeliest periodic course of a law, from the beginning or from one of some onsets.
 
-    `bottoms` (n,) are about the squares of the courses from the record's beginning.
+    The score resolves the period to the inverse of the record's length; `tops` (s, n) has it from each of s onsets. The
+    squares hardly change between the few periods for which `bottoms` (k,) are known, and those of a later onset are
+    about its share of them; the leading courses get exact ones.
     """
-    shapes = courses.turns[0]
+    shapes, _, of = courses.turns
     cuts = np.linspace(0, len(score), STARTS + 1).astype(int)[:-1]
-    weighted, prior, which = _likeliest_turns(law.candidate, tops, bottoms, 1.0 - cuts / len(score))
+    weighted, prior, which = _likeliest_turns(law.candidate, tops, bottoms[of], 1.0 - cuts / len(score))
     total = logsumexp(weighted) + rest - math.log(2.0 * len(shapes))
     since, alike = weighted.argmax(axis=0), weighted.max(axis=0)
     lead = np.argpartition(alike, -min(LEADING_TURNS, len(alike)))[-LEADING_TURNS:]
@@ -369,15 +357,15 @@ def _spells(
     b = score_test.b
     sums, tops = np.zeros((b + 1, b + 1)), np.concatenate([[0.0], np.cumsum(score)])
     sums[1:, 1:] = gram.cumsum(axis=0).cumsum(axis=1)
-    flat = _spans(b, score_test.step_s)
-    if not len(flat):
+    first, last = _spans(b, score_test.step_s)
+    if not len(first):
         return []  # so short a record has no room for one
     upto = np.diag(sums)
-    bottom: Array = (upto + upto[:, None] - 2.0 * sums).ravel()[flat]
+    bottom: Array = upto[last] + upto[first] - 2.0 * sums.ravel()[first * (b + 1) + last]
     bottom = np.maximum(bottom, _TINY * max(float(upto.max()), _TINY))
-    top, count = (tops - tops[:, None]).ravel()[flat], len(flat)
+    top, count = tops[last] - tops[first], len(first)
     leading = likeliest(law.candidate, top, bottom)
-    (first, last), bottom = np.divmod(flat[leading], b + 1), bottom[leading]
+    first, last, bottom = first[leading], last[leading], bottom[leading]
     odds, size = log_bayes_of_sizes(law.candidate, top[leading], bottom)
     k = int(np.argmax(odds))
     total = logsumexp(odds) + rest - math.log(count)
@@ -400,14 +388,14 @@ def _spells(
 
 
 @functools.lru_cache(maxsize=16)
-def _spans(b: int, step_s: float) -> NDArray[np.intp]:
-    """Return the transients in a record of b blocks, as the first block * (b + 1) + the block before which they end.
+def _spans(b: int, step_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first blocks of transients in a record of b blocks, and the blocks before which they end.
 
     What is there from the beginning and ends within `EARLY_S` is a state that was not at rest, and no transient.
     """
     first, last = np.triu_indices(b - 1, 2)
     later = (first > 0) | (last * step_s > EARLY_S)
-    return first[later] * (b + 1) + last[later]
+    return first[later], last[later]
 
 
 def logsumexp(values: Array) -> float:
