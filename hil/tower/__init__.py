@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from hil.tower.calibration import calibrate as calibrate_station
     from hil.tower.check import CheckedFile, check_file
     from hil.tower.diagnose import adopt, diagnose_station, document, write_document
-    from hil.tower.file_kinds import tower_kind
+    from hil.tower.file_kinds import cells_of, tower_kind
     from hil.tower.governance import (
         REPORT,
         CellGovernance,
@@ -70,7 +70,6 @@ if TYPE_CHECKING:
         Collected,
         StationNotes,
         TowerOutputError,
-        cells_of,
         iso,
         open_samples,
         read_cell,
@@ -175,7 +174,10 @@ __getattr__, __dir__ = lazy_names(
             "learn_healthy",
         ),
         "check": ("CheckedFile", "check_file"),
-        "file_kinds": ("tower_kind",),
+        "file_kinds": (
+            "cells_of",
+            "tower_kind",
+        ),
         "diagnose": (
             "adopt",
             "diagnose_station",
@@ -214,7 +216,6 @@ __getattr__, __dir__ = lazy_names(
         "station.record": (
             "CellRecord",
             "StationNotes",
-            "cells_of",
             "read_cell",
             "read_notes",
             "unused_labels",

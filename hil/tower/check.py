@@ -13,11 +13,11 @@ import numpy as np
 from hil.files import parse_json
 from hil.record import ReadingOptions, RecordError
 from hil.tower.calibration import read_points
+from hil.tower.file_kinds import cells_of
 from hil.tower.station import (
     Mistakes,
     Station,
     TableError,
-    cells_of,
     checked_datasheet,
     event_entries,
     iso,

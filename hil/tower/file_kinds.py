@@ -21,6 +21,12 @@ HEADING_BYTES = 20_000
 SHEET_BYTES = 1_000_000
 
 
+def cells_of(record: Path) -> tuple[int, ...]:
+    """Return the numbers of the cells that a record holds."""
+    found = (re.fullmatch(r"cell(\d+)\.parquet", path.name) for path in record.glob("cell*.parquet"))
+    return tuple(sorted(int(match[1]) for match in found if match))
+
+
 def tower_kind(path: Path) -> str | None:
     """Return the kind of a tower's file or folder; None for one that is not of a tower.
 

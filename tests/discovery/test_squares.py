@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twin.discovery.evidence.marginal import likeliest, log_bayes_of_sizes
-from twin.discovery.evidence.scan import logsumexp
+from twin.discovery.effects.shapes import Shape, courses_of
+from twin.discovery.evidence.marginal import free_log_bayes, likeliest, log_bayes_of_sizes, most_log_bayes
+from twin.discovery.evidence.scan import LEADING_TURNS, _likeliest_turns, _roughly, logsumexp
+from twin.discovery.scoring.course_squares import CourseSquares
 from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.sweep import _late_sums, _steps_of, squares_of
 from twin.elements.candidates import Candidate
@@ -75,6 +77,7 @@ def test_effects_that_count_beside_the_rest_are_told_by_a_bound(bounds: tuple[fl
     top = most * np.sqrt(bottom) * rng.normal(size=4000)
     every = log_bayes_of_sizes(candidate, top, bottom)[0]
     kept = likeliest(candidate, top, bottom)
+    assert (most_log_bayes(candidate, top, bottom) >= free_log_bayes(candidate, top, bottom)).all()
     assert int(np.argmax(every)) in kept and (most < 10.0 or len(kept) < 2000)
     assert logsumexp(every[kept]) == pytest.approx(logsumexp(every), abs=1e-12)
 
@@ -90,3 +93,40 @@ def test_courses_that_begin_later_have_the_squares_of_all_their_blocks(score_tes
             squares_of(score_test, gram, courses), np.diag(courses.T @ gram @ courses), atol=1e-9
         )
     assert squares_of(score_test, gram, courses[:, :0]).shape == (0,)
+
+
+@pytest.mark.parametrize("bounds", [(-np.inf, np.inf), (0.0, 900.0)])
+@pytest.mark.parametrize("most", [0.1, 30.0])
+def test_turns_that_count_are_told_by_a_bound(bounds: tuple[float, float], most: float) -> None:
+    candidate = Candidate("heat_source", "tank", "constant", "new", {}, "W", 20.0, *bounds, "")
+    rng = np.random.default_rng(8)
+    left, bottoms = np.linspace(1.0, 0.2, 5), rng.uniform(0.5, 2.0, 3000)
+    tops = most * np.sqrt(left[:, None] * bottoms) * rng.normal(size=(5, 3000))
+    found, prior, kept = _likeliest_turns(candidate, tops, bottoms, left)
+    every = _roughly(candidate, tops, left[:, None] * bottoms) + prior[:, None]
+    np.testing.assert_array_equal(found, every[:, kept])
+    assert logsumexp(found) == pytest.approx(logsumexp(every), abs=1e-12) and (most < 10.0 or len(kept) < 1000)
+    assert set(np.argsort(every.max(axis=0))[-LEADING_TURNS:]) <= set(kept.tolist())
+
+
+@pytest.mark.parametrize("blocks", [41, 160])
+@pytest.mark.parametrize("count", [4, 6, 7, 12])
+def test_courses_of_one_family_have_the_squares_of_all_their_blocks(blocks: int, count: int) -> None:
+    edges_s = np.linspace(0, 9600, blocks + 1).round() * 15.0  # blocks of equal length within a bin
+    span = float(edges_s[-1])
+    shapes = [Shape("pulse", float(t), decay) for decay in (60.0, 3600.0) for t in edges_s[1:-2:2]]
+    shapes += [Shape("put in", float(t), 3600.0) for t in edges_s[1:-2:5]] + [Shape("pulse", 1234.5, 60.0)]
+    shapes += [Shape("saturating", float(t), 7200.0) for t in edges_s[:-2:9]]
+    shapes += [
+        Shape("periodic", period * k / count, period, duty)
+        for period in (0.5 * span, 0.21 * span, 0.05 * span)
+        for duty in (0.25, 0.5, 0.75)
+        for k in range(count)
+    ]
+    courses = courses_of(shapes, edges_s).T
+    pulled = np.random.default_rng(9).normal(size=(2 * blocks, blocks)).cumsum(axis=1)
+    squares = CourseSquares.of(courses, shapes, edges_s)
+    # Families leave a pulse amid a block and the saturating courses, and turns of seven phases.
+    alone = sum(part.columns.size for part in squares.parts if hasattr(part, "begun"))
+    assert alone == 1 + len(edges_s[:-2:9]) + (9 * count if count == 7 else 0)
+    np.testing.assert_allclose(squares(pulled.T @ pulled), ((pulled @ courses) ** 2).sum(axis=0), rtol=1e-11)

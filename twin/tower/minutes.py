@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
+from twin.first_order_lag import lagged
 from twin.tower.air import Array
 from twin.tower.cell import Inputs
 from twin.tower.effects import CellEffect, patterns
@@ -178,8 +178,7 @@ def first_order_lag(values: Array, known: NDArray[np.bool_], minutes: float = FO
     followed = np.full(len(values), np.nan)
     edges = np.flatnonzero(np.diff(np.r_[False, known, False].astype(np.int8)))
     for a, b in zip(edges[::2], edges[1::2], strict=True):
-        part = values[a:b]
-        followed[a:b] = lfilter([1.0 - keep], [1.0, -keep], part, zi=[keep * part[0]])[0]
+        followed[a:b] = lagged(values[a:b], keep)
     return followed
 
 

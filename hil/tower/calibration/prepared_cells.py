@@ -10,10 +10,10 @@ import numpy as np
 
 from hil.record import RecordError
 from hil.tower.calibration.healthy import healthy_of, known_by
+from hil.tower.file_kinds import cells_of
 from hil.tower.station import (
     CellRecord,
     StationNotes,
-    cells_of,
     event_entries,
     read_cell,
     read_labels,

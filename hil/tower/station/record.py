@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from hil.files import parse_json, require_complete
 from hil.record import RecordError
+from hil.tower.file_kinds import cells_of
 from hil.tower.station.alignment import event_entry
 from hil.tower.station.description import read_events
 from hil.tower.station.errors import Mistakes
@@ -70,12 +70,6 @@ class StationNotes:
 
     datasheet: dict[str, Any] = field(default_factory=dict)
     events: tuple[dict[str, Any], ...] = ()
-
-
-def cells_of(record: Path) -> tuple[int, ...]:
-    """Return the numbers of the cells that a record holds."""
-    found = (re.fullmatch(r"cell(\d+)\.parquet", path.name) for path in record.glob("cell*.parquet"))
-    return tuple(sorted(int(match[1]) for match in found if match))
 
 
 def station_of(record: Path, cell: int) -> str:

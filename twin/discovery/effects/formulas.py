@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from twin.first_order_lag import recursion
 from twin.kernel import define_functions, evaluate_formula
 from twin.network import Array, Network
 from twin.network.assembly import NetworkEquations, python_source
@@ -81,15 +82,14 @@ def follow(values: Array, constant_s: float, step_s: float) -> Array:
     """
     if constant_s <= 0.0:
         return values
-    from scipy.signal import lfilter  # a second of processor time, so only where it is used
-
     kept = np.exp(-step_s / constant_s)
     # Exact for a straight line: how much of the step's end is in the answer, and how much of its beginning.
     new = 1.0 - (1.0 - kept) * constant_s / step_s
     old = 1.0 - kept - new
-    out, _ = lfilter([new, old], [1.0, -kept], values, zi=[(1.0 - new) * values[0]])
-    result: Array = out
-    return result
+    terms = new * values
+    terms[1:] += old * values[:-1]
+    terms[0] = values[0]
+    return recursion(terms, kept)
 
 
 def _follow_varying(target: Array, speed: Array, step_s: float) -> Array:

@@ -49,11 +49,20 @@ def log_mass(low: Array, high: Array) -> Array:
     """Return the logarithm of the standard normal probability between two bounds, also far out in the tails."""
     low, high = np.broadcast_arrays(low, high)
     found = np.zeros(low.shape)
+    counts = (low > -BEYOND) | (high < BEYOND)
+    if counts.any():
+        found[counts] = _mass_of(low[counts], high[counts])
+    return found
+
+
+def _mass_of(low: Array, high: Array) -> Array:
+    """Return `log_mass` of bounds (n,) of which at least one is within `BEYOND`."""
+    found = np.empty(low.shape)
     near, far = low > -BEYOND, high < BEYOND
     # Of bounds far apart only the one nearer to the middle counts.
     alone = (high > BEYOND) & ((low <= 0.0) | (high > np.hypot(low, BEYOND)))
     above, below = near & alone, far & (low < -BEYOND) & (high >= 0.0)
-    both = (near | far) & ~above & ~below
+    both = ~above & ~below
     found[above], found[below] = log_ndtr(-low[above]), log_ndtr(high[below])
     if both.any():
         found[both] = _mass_between(low[both], high[both])
@@ -115,7 +124,7 @@ def log_bayes_of_sizes(candidates: Candidate | Sequence[Candidate], top: Array, 
 
 def _within_bounds(prior: Array, lower: Array, upper: Array, top: Array, bottom: Array) -> tuple[Array, Array]:
     """Return log B and sizes under Gaussian priors of these standard deviations, truncated to bounds."""
-    variance = 1.0 / (bottom + prior**-2.0)
+    variance = 1.0 / (bottom + 1.0 / prior**2)
     mean, sd = variance * top, np.sqrt(variance)
     odds = 0.5 * mean * top - 0.5 * np.log1p(prior**2 * bottom)
     here = log_mass((lower - mean) / sd, (upper - mean) / sd)
@@ -125,10 +134,30 @@ def _within_bounds(prior: Array, lower: Array, upper: Array, top: Array, bottom:
 def free_log_bayes(candidate: Candidate, top: Array, bottom: Array) -> Array:
     """Return log B of sizes whose priors are not truncated to their bounds."""
     usual = SPREAD * candidate.typical
-    odds: Array = 0.5 * top**2 / (bottom + usual**-2.0) - 0.5 * np.log1p(usual**2 * bottom)
-    wide = np.maximum(np.abs(top / bottom), usual)
-    other = 0.5 * top**2 / (bottom + wide**-2.0) - 0.5 * np.log1p(wide**2 * bottom) - np.log(wide / usual)
-    return np.maximum(odds, other)
+    half = 0.5 * top**2
+    odds: Array = half / (bottom + usual**-2.0) - 0.5 * np.log1p(usual**2 * bottom)
+    alone = np.abs(top / bottom)
+    large = np.flatnonzero(alone.ravel() > usual)
+    if len(large):  # any other has the usual width
+        halves, bottoms = (np.broadcast_to(values, odds.shape).ravel()[large] for values in (half, bottom))
+        wide = alone.ravel()[large]
+        other = halves / (bottoms + 1.0 / wide**2)
+        other -= np.log(np.sqrt(1.0 + wide**2 * bottoms) * (wide / usual))
+        flat = odds.reshape(-1)
+        flat[large] = np.maximum(flat[large], other)
+    return odds
+
+
+def most_log_bayes(candidate: Candidate, top: Array, bottom: Array) -> Array:
+    """Return an upper bound of `free_log_bayes` that takes no logarithm of each effect.
+
+    With a prior of standard deviation w, the first term 1/2 top^2 / (bottom + w^-2) of log B is at most 1/2 top^2 /
+    bottom. Its other terms, -1/2 log(1 + w^2 bottom) - log(w / usual), fall with w >= usual and with `bottom`. So they
+    are at most -1/2 log(1 + usual^2 b), with b the least `bottom`.
+    """
+    usual = SPREAD * candidate.typical
+    most: Array = 0.5 * top**2 / bottom - 0.5 * math.log1p(usual**2 * float(bottom.min()))
+    return most
 
 
 def likeliest(candidate: Candidate, top: Array, bottom: Array) -> NDArray[np.intp]:
@@ -137,12 +166,15 @@ def likeliest(candidate: Candidate, top: Array, bottom: Array) -> NDArray[np.int
     The bounds of a size raise log B by at most the prior's own truncation, which bounds it from above. All effects that
     are left out add less than rounding to the likeliest one.
     """
-    most = free_log_bayes(candidate, top, bottom)
+    most = most_log_bayes(candidate, top, bottom)
     prior = SPREAD * candidate.typical
     before = _log_mass(candidate.lower / prior, candidate.upper / prior)
     lead = np.argpartition(most, -min(LEAD, len(most)))[-LEAD:]
     least = float(log_bayes_of_sizes(candidate, top[lead], bottom[lead])[0].max())
-    return np.flatnonzero(most - before >= least - NEGLIGIBLE - math.log(len(most)))
+    least += before - NEGLIGIBLE - math.log(len(most))
+    some = np.flatnonzero(most >= least)
+    found: NDArray[np.intp] = some[free_log_bayes(candidate, top[some], bottom[some]) >= least]
+    return found
 
 
 def _log_mass(low: float, high: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,8 +13,15 @@ from numpy.typing import NDArray
 
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import EARLY_S, TIMED, Shape, courses_of
-from twin.discovery.evidence.marginal import Joint, free_log_bayes, likeliest, log_bayes_of_sizes
-from twin.discovery.evidence.priors import ALL_ALONG, AT_ONCE
+from twin.discovery.evidence.marginal import (
+    LEAD,
+    NEGLIGIBLE,
+    Joint,
+    free_log_bayes,
+    likeliest,
+    log_bayes_of_sizes,
+)
+from twin.discovery.evidence.priors import ALL_ALONG, AT_ONCE, SPREAD
 from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE, Courses, LawSquares, returning, rows_by_name
@@ -234,10 +242,13 @@ def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns
             if shapes[0].name != "periodic":
                 add(shapes, courses.returns[:, rows], least_rows, rest - math.log(2.0 * len(rows)))
                 continue
-            for i, law in enumerate(laws):
-                if law.candidate.sticks:
-                    continue  # one that sticks now and then is told by its first time
-                out += _turns(law, squares[i], scores[i], grams[i], courses, least_rows[i], rest)
+            # One that sticks now and then is told by its first time.
+            them = [i for i, law in enumerate(laws) if not law.candidate.sticks]
+            tops = _tops_of_turns(scores[them], courses)
+            out += [
+                _turn(laws[i], squares[i], scores[i], grams[i], courses, tops[:, n], least_rows[i], rest)
+                for n, i in enumerate(them)
+            ]
     return out
 
 
@@ -251,45 +262,80 @@ def _squares(taken: Array, courses: Array) -> Array:
     return np.asarray(np.einsum("lcj,lcj->lj", shared, shared))
 
 
-def _turns(
-    law: CandidateLaw, squares: LawSquares, score: Array, gram: Array, courses: Courses, bottoms: Array, rest: float
-) -> list[Entry]:
+def _tops_of_turns(scores: Array, courses: Courses) -> Array:
+    """Return the scores (s, l, n) of n periodic courses from each of s onsets, of laws with block scores (l, b)."""
+    _, columns, _ = courses.turns
+    cuts = np.linspace(0, scores.shape[1], STARTS + 1).astype(int)
+    tops = np.stack([scores[:, i:j] @ columns[i:j] for i, j in itertools.pairwise(cuts)])
+    for i in range(len(tops) - 1, 0, -1):
+        tops[i - 1] += tops[i]
+    return tops
+
+
+def _turn(
+    law: CandidateLaw,
+    squares: LawSquares,
+    score: Array,
+    gram: Array,
+    courses: Courses,
+    tops: Array,
+    bottoms: Array,
+    rest: float,
+) -> Entry:
     """Return the likeliest periodic course of a law, from the beginning or from one of some onsets.
 
-    The score resolves the period to the inverse of the record's length. The squares hardly change between the few
-    periods for which `bottoms` (k,) are known, and those of a later onset are about its share of them; the leading
-    courses get exact ones.
+    The score resolves the period to the inverse of the record's length; `tops` (s, n) has it from each of s onsets. The
+    squares hardly change between the few periods for which `bottoms` (k,) are known, and those of a later onset are
+    about its share of them; the leading courses get exact ones.
     """
-    shapes, columns, of = courses.turns
+    shapes, _, of = courses.turns
     cuts = np.linspace(0, len(score), STARTS + 1).astype(int)[:-1]
-    left = 1.0 - cuts / len(score)
-    tops = np.stack([score[i:j] @ columns[i:j] for i, j in zip(cuts, [*cuts[1:], len(score)], strict=True)])
-    tops = tops[::-1].cumsum(axis=0)[::-1]
-    odds = _roughly(law.candidate, tops, left[:, None] * bottoms[of])
-    prior = np.full(len(cuts), math.log((1.0 - ALL_ALONG) / (len(cuts) - 1)))
-    prior[0] = math.log(ALL_ALONG)
-    weighted = odds + prior[:, None]
+    weighted, prior, which = _likeliest_turns(law.candidate, tops, bottoms[of], 1.0 - cuts / len(score))
     total = logsumexp(weighted) + rest - math.log(2.0 * len(shapes))
     since, alike = weighted.argmax(axis=0), weighted.max(axis=0)
-    lead = np.argpartition(alike, -LEADING_TURNS)[-LEADING_TURNS:]
-    begun = [_begun(shapes[i], float(courses.edges_s[cuts[since[i]]])) for i in lead]
+    lead = np.argpartition(alike, -min(LEADING_TURNS, len(alike)))[-LEADING_TURNS:]
+    begun = [_begun(shapes[which[i]], float(courses.edges_s[cuts[since[i]]])) for i in lead]
     those = courses_of(begun, courses.edges_s).T
     own = np.maximum(np.einsum("bj,bj->j", those, gram @ those), _TINY * max(float(bottoms.max()), _TINY))
     exact, size = log_bayes_of_sizes(law.candidate, score @ those, own)
     k = int(np.argmax(exact))
-    occam = total - float(odds[since[lead], lead].max())
-    return [
-        Entry(
-            law,
-            begun[k],
-            squares.blocks * those[:, k],
-            float(size[k]),
-            float(own[k]) ** -0.5,
-            float(size[k] ** 2 * own[k]),
-            log_bayes=float(exact[k]) + occam,
-            log_occam=occam,
-        )
-    ]
+    occam = total - float((weighted - prior[:, None])[since[lead], lead].max())
+    return Entry(
+        law,
+        begun[k],
+        squares.blocks * those[:, k],
+        float(size[k]),
+        float(own[k]) ** -0.5,
+        float(size[k] ** 2 * own[k]),
+        log_bayes=float(exact[k]) + occam,
+        log_occam=occam,
+    )
+
+
+def _likeliest_turns(
+    candidate: Candidate, tops: Array, bottoms: Array, left: Array
+) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Return log B with its prior (s, j) of the courses that are not negligible, the prior (s,), and their indices.
+
+    `tops` (s, n) are the scores from s onsets with shares `left` (s,) of the record, `bottoms` (n,) the squares from
+    the record's beginning. A course is negligible if its bound (`most_log_bayes`) is below rounding of the likeliest
+    one, and below each of the `LEADING_TURNS` courses that get exact squares. Of some courses with large bounds, the
+    likeliest and the last of the leading ones are no likelier than those of all courses, so both limits are safe.
+    """
+    prior = np.full(len(left), math.log((1.0 - ALL_ALONG) / (len(left) - 1)))
+    prior[0] = math.log(ALL_ALONG)
+
+    def weighted(those: NDArray[np.intp]) -> Array:
+        return _roughly(candidate, tops[:, those], left[:, None] * bottoms[those]) + prior[:, None]
+
+    usual = SPREAD * candidate.typical
+    most = ((0.5 * tops**2) * (1.0 / left)[:, None]) / bottoms
+    bound = (most + (prior - 0.5 * np.log1p(usual**2 * left * float(bottoms.min())))[:, None]).max(axis=0)
+    some = np.argpartition(bound, -min(LEAD, len(bound)))[-LEAD:]
+    reached = np.sort(weighted(some).max(axis=0))
+    least = min(reached[-min(LEADING_TURNS, len(reached))], reached[-1] - NEGLIGIBLE - math.log(tops.size))
+    kept = np.flatnonzero(bound >= least)
+    return weighted(kept), prior, kept
 
 
 def _roughly(candidate: Candidate, top: Array, bottom: Array) -> Array:
@@ -311,14 +357,11 @@ def _spells(
     b = score_test.b
     sums, tops = np.zeros((b + 1, b + 1)), np.concatenate([[0.0], np.cumsum(score)])
     sums[1:, 1:] = gram.cumsum(axis=0).cumsum(axis=1)
-    first, last = _spans(b)
-    # What is there from the beginning and ends so early is a state that was not at rest.
-    later = (first > 0) | (last * score_test.step_s > EARLY_S)
-    first, last = first[later], last[later]
+    first, last = _spans(b, score_test.step_s)
     if not len(first):
         return []  # so short a record has no room for one
     upto = np.diag(sums)
-    bottom: Array = upto[last] + upto[first] - (sums + sums.T).ravel()[first * (b + 1) + last]
+    bottom: Array = upto[last] + upto[first] - 2.0 * sums.ravel()[first * (b + 1) + last]
     bottom = np.maximum(bottom, _TINY * max(float(upto.max()), _TINY))
     top, count = tops[last] - tops[first], len(first)
     leading = likeliest(law.candidate, top, bottom)
@@ -344,10 +387,15 @@ def _spells(
     ]
 
 
-@functools.cache
-def _spans(b: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first blocks of transients in a record of b blocks, and the blocks before which they end."""
-    return np.triu_indices(b - 1, 2)
+@functools.lru_cache(maxsize=16)
+def _spans(b: int, step_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first blocks of transients in a record of b blocks, and the blocks before which they end.
+
+    What is there from the beginning and ends within `EARLY_S` is a state that was not at rest, and no transient.
+    """
+    first, last = np.triu_indices(b - 1, 2)
+    later = (first > 0) | (last * step_s > EARLY_S)
+    return first[later], last[later]
 
 
 def logsumexp(values: Array) -> float:

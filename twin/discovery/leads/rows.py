@@ -185,12 +185,20 @@ def _noise_of_rows(values: Array) -> Array:
         np.lib.stride_tricks.sliding_window_view(np.pad(v, ON_A_SIDE, mode="edge"), 1 + 2 * ON_A_SIDE), axis=1
     )
     for order in (np.arange(len(v)), np.argsort(levels, kind="stable")):
-        parts = np.array_split(order, len(order) // AROUND)
-        sizes = MAD * np.array([np.median(steps[part]) for part in parts]) / np.sqrt(2.0)
-        wide = np.pad(sizes, 1, mode="edge")
-        for part, size in zip(parts, np.maximum(np.maximum(wide[:-2], wide[1:-1]), wide[2:]), strict=True):
-            noise[good[part]] = np.maximum(noise[good[part]], size)
+        lengths, medians = _medians_of_parts(steps[order], len(order) // AROUND)
+        wide = np.pad(MAD * medians / np.sqrt(2.0), 1, mode="edge")
+        around = np.repeat(np.maximum(np.maximum(wide[:-2], wide[1:-1]), wide[2:]), lengths)
+        noise[good[order]] = np.maximum(noise[good[order]], around)
     return noise
+
+
+def _medians_of_parts(values: Array, count: int) -> tuple[np.ndarray, Array]:
+    """Return the lengths and the medians of `count` parts in a row, as equal in length as whole numbers allow."""
+    short, longer = divmod(len(values), count)
+    cut = longer * (short + 1)
+    parts = values[:cut].reshape(longer, short + 1), values[cut:].reshape(count - longer, short)
+    lengths = np.repeat([short + 1, short], [longer, count - longer])
+    return lengths, np.concatenate([np.median(rows, axis=1) for rows in parts if len(rows)])
 
 
 def _quantum(values: Array) -> float:

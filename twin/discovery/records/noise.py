@@ -9,6 +9,7 @@ because a drift does not leak in them (Makhoul, IEEE Trans. ASSP 28 (1980) 27).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.fft import dct, idct
@@ -55,7 +56,7 @@ class Noise:
         roots, sd = self.roots.copy(), self.sd.copy()
         floor = np.diag(self.white**2)
         for b in range(len(ratio)):
-            inverse = np.linalg.inv(self.roots[b])
+            inverse = self._inverses[b]
             values, vectors = np.linalg.eigh(inverse.T @ inverse - CAUTION[b] * floor)
             structure = vectors * np.maximum(values, 0.0) @ vectors.T
             roots[b], sd[b] = _root(CAUTION[b] * floor + ratio[b] * structure)
@@ -77,13 +78,19 @@ class Noise:
         c = dct(values, type=2, norm="ortho", axis=0)
         flat = c.reshape(c.shape[0], c.shape[1], -1)
         out = np.empty_like(flat)
-        band = bands(len(c), step)
-        scale = np.sqrt(step / self.step_s)
-        for b in np.unique(band):
-            rows = band == b
-            out[rows] = (scale * self.roots[b].T) @ flat[rows]
+        roots = np.sqrt(step / self.step_s) * self.roots
+        for b, rows in _rows_of_bands(len(c), step):
+            if flat.shape[2] == 1:
+                np.matmul(flat[rows, :, 0], roots[b], out=out[rows, :, 0])
+            else:
+                np.matmul(roots[b].T, flat[rows], out=out[rows])
         whitened: Array = out.reshape(c.shape)
         return whitened
+
+    @cached_property
+    def _inverses(self) -> Array:
+        """Return the inverse (bands, m, m) of each root."""
+        return np.asarray(np.linalg.inv(self.roots), dtype=np.float64)
 
     def rms(self, n: int) -> Array:
         """Return the root mean square (m,), K, of `n` bins in a row."""
@@ -99,11 +106,9 @@ class Noise:
         """Invert `whiten`, for (n, m)."""
         step = step_s or self.step_s
         out = np.empty_like(whitened)
-        band = bands(len(whitened), step)
         scale = np.sqrt(step / self.step_s)
-        for b in np.unique(band):
-            rows = band == b
-            out[rows] = whitened[rows] @ np.linalg.inv(self.roots[b]) / scale
+        for b, rows in _rows_of_bands(len(whitened), step):
+            out[rows] = whitened[rows] @ self._inverses[b] / scale
         series: Array = idct(out, type=2, norm="ortho", axis=0)
         return series
 
@@ -119,6 +124,14 @@ def bands(n: int, step_s: float) -> np.ndarray:
     period = 2.0 * n * step_s / np.maximum(np.arange(n), 0.5)
     band: np.ndarray = np.searchsorted(-np.array(EDGES_S), -period, side="right")
     return band
+
+
+@cache
+def _rows_of_bands(n: int, step_s: float) -> tuple[tuple[int, slice], ...]:
+    """Return the bands among n cosine coefficients with the rows of each, which are next to each other."""
+    band = bands(n, step_s)
+    found, first = np.unique(band, return_index=True)
+    return tuple((int(b), slice(i, j)) for b, i, j in zip(found, first, [*first[1:], n], strict=True))
 
 
 def power(readings: Array, step_s: float) -> Array:

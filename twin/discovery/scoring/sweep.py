@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import EARLY_S, Shape, courses_of, family, means_between
+from twin.discovery.scoring.course_squares import CourseSquares
 from twin.discovery.scoring.score_tests import ScoreTest
 from twin.elements.candidates import Candidate
 from twin.network import Array
@@ -31,11 +32,6 @@ RATES = 3.0
 """Frequencies of periodic courses per inverse record length: with three, the nearest one deviates by a sixth of a
 period at the record's end, if it agrees at the beginning."""
 DUTIES = (0.25, 0.5, 0.75)
-PANEL = 32
-"""Rows of a Gram matrix that are multiplied at once: with eight panels in 240 rows, nine sixteenths of all products are
-left."""
-BEGINNINGS = 8
-"""Groups of courses by their first block: with eight, a fifth more is multiplied than with one for each block."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +136,8 @@ class LawSquares:
             if law not in score_test.memo:
                 blocks = score_test.vector(law)
                 gram = score_test.small_gram(blocks)
-                growths = squares_of(score_test, gram, courses.beyond(law.candidate)[1])
+                shapes, shaped = courses.beyond(law.candidate)
+                growths = squares_of(score_test, gram, shaped, shapes)
                 score_test.memo[law] = cls._of(blocks, _late_sums(gram)[:count], growths)
         return [score_test.memo[law] for law in laws]
 
@@ -153,7 +150,8 @@ def returning(score_test: ScoreTest, law: CandidateLaw, gram: Array) -> Array:
     """Return the squares (k,) of a law at size 1, of Gram matrix (b, b), for periodic courses and pulses."""
     known: Array | None = score_test.memo.get(("returning", law))
     if known is None:
-        known = score_test.memo["returning", law] = squares_of(score_test, gram, Courses.of(score_test).returns)
+        courses = Courses.of(score_test)
+        known = score_test.memo["returning", law] = squares_of(score_test, gram, courses.returns, courses.timed)
     return known
 
 
@@ -171,55 +169,16 @@ def _steps_of(score_test: ScoreTest, vectors: Array) -> Array:
     return sums
 
 
-_Begun = tuple[int, NDArray[np.intp], Array]
-"""First row of some courses, their columns, and their rows from the first on."""
-
-
-def squares_of(score_test: ScoreTest, gram: Array, courses: Array) -> Array:
+def squares_of(score_test: ScoreTest, gram: Array, courses: Array, shapes: Sequence[Shape] = ()) -> Array:
     """Return the squares (j,) of courses (b, j), which the score test keeps, in a Gram matrix (b, b).
 
-    Most courses begin after the record does, and rows before that are not multiplied; nor is what lies below the
-    diagonal of a symmetric matrix, but for squares of `PANEL` rows on it.
+    `shapes` are those of the courses, if they have some: families of them share most products.
     """
-    found = np.zeros(courses.shape[1])
-    if not len(found):
-        return found
-    once = gram * _twice_beyond(len(gram))
-    known: tuple[Array, list[_Begun]] | None = score_test.memo.get(("begun", id(courses)))
+    known: tuple[Array, CourseSquares] | None = score_test.memo.get(("squares", id(courses)))
     if known is None:  # with the courses, whose identity so stays their own
-        known = score_test.memo["begun", id(courses)] = courses, _by_beginning(courses)
-    for first, columns, begun in known[1]:
-        squares = np.zeros(len(columns))
-        # Squares on the diagonal stand where those of the whole matrix do, whatever row the courses begin with.
-        for row in range(first - first % PANEL, len(gram), PANEL):
-            low, high = max(row, first), row + PANEL
-            squares += np.einsum(
-                "bj,bj->j", begun[low - first : high - first], once[low:high, low:] @ begun[low - first :]
-            )
-        found[columns] = squares
-    return found
-
-
-@functools.cache
-def _twice_beyond(b: int) -> Array:
-    """Return weights (b, b) of a symmetric matrix: 2 to the right of its diagonal panels, 0 to the left, 1 on them."""
-    panel = np.arange(b) // PANEL
-    weights: Array = 1.0 + np.sign(panel - panel[:, None])
-    return weights
-
-
-def _by_beginning(courses: Array) -> list[_Begun]:
-    """Return the courses that begin in each eighth of the blocks."""
-    b = len(courses)
-    begins = np.where(courses.any(axis=0), (courses != 0.0).argmax(axis=0), b)
-    eighth = begins * BEGINNINGS // b
-    found = []
-    for one in range(BEGINNINGS):
-        columns = np.flatnonzero(eighth == one)
-        if len(columns):
-            first = int(begins[columns].min())
-            found.append((first, columns, courses[first:, columns]))
-    return found
+        edges_s = score_test.edges * score_test.grid.step_s if len(shapes) else None
+        known = score_test.memo["squares", id(courses)] = courses, CourseSquares.of(courses, shapes, edges_s)
+    return known[1](gram)
 
 
 class Given:

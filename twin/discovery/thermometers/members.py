@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.discovery.effects.shapes import Shape, family
+from twin.discovery.effects.shapes import Shape, courses_of, family
 from twin.discovery.records.grid import Grid
 from twin.discovery.scoring.equivalence import width
+from twin.first_order_lag import lagged
 from twin.network import Array, Network
 from twin.quantiles import NORMAL90
 
@@ -330,26 +331,25 @@ def _drifts(found: Members) -> tuple[Shape, ...]:
 def _oddest(found: Members, good: np.ndarray, shapes: tuple[Shape, ...]) -> Odd | None:
     """Return the member, with one of these shapes, that explains most of the squares of `good` blocks."""
     number = len(found.columns)
-    best: Odd | None = None
-    for shape in shapes:
-        course = shape.block_means(found.edges_s)[good]
-        power = float(course @ course)
-        if power <= 3.0 * course.max(initial=0.0) ** 2:
-            continue
-        amplitude = course @ found.residual[good] / power
-        total = float(((amplitude / found.sd) ** 2).sum())
-        for i in range(number):
-            weight = _pattern(i, number) / found.sd
-            size = float((amplitude / found.sd) @ weight / (weight @ weight))
-            carried = size**2 * float(weight @ weight)
-            gain = carried * power
-            if best is None or gain > best.z**2:
-                sd = float(found.sd[i]) / np.sqrt(max(power / CORRELATED, 1.0))
-                last_s = float(found.edges_s[good[-1] + 1])
-                final = shape.mean(last_s - 1.0, last_s)
-                share = carried / max(total, 1e-12)
-                best = Odd(found.columns[i], size, sd, shape, share, float(np.sqrt(gain)), size * final)
-    return best
+    courses = courses_of(shapes, found.edges_s)[:, good]
+    power = (courses**2).sum(axis=1)
+    kept = np.flatnonzero(power > 3.0 * courses.max(axis=1, initial=0.0) ** 2)
+    if not len(kept):
+        return None
+    power = power[kept]
+    amplitudes = courses[kept] @ found.residual[good] / power[:, None] / found.sd
+    weights = np.stack([_pattern(i, number) for i in range(number)]) / found.sd
+    squares = (weights**2).sum(axis=1)
+    sizes = amplitudes @ weights.T / squares
+    carried = sizes**2 * squares
+    gains = carried * power[:, None]
+    k, i = np.unravel_index(np.argmax(gains), gains.shape)
+    shape, size = shapes[kept[k]], float(sizes[k, i])
+    sd = float(found.sd[i]) / np.sqrt(max(float(power[k]) / CORRELATED, 1.0))
+    last_s = float(found.edges_s[good[-1] + 1])
+    share = float(carried[k, i]) / max(float((amplitudes[k] ** 2).sum()), 1e-12)
+    final = size * shape.mean(last_s - 1.0, last_s)
+    return Odd(found.columns[i], size, sd, shape, share, float(np.sqrt(gains[k, i])), final)
 
 
 def began_between(found: Members, odd: Odd) -> tuple[float, float]:
@@ -429,17 +429,13 @@ def lagging_one(found: Members) -> Odd | None:
 
 def _lag(found: Members, i: int, since_s: float, z: float) -> Odd:
     """Return member i with its lag from about that time on: time constant and onset."""
-    from scipy.signal import lfilter  # a second of processor time, so only where it is used
-
     seen = np.isfinite(found.fine).all(axis=1) & np.isfinite(found.mean)
     time_s = np.arange(len(seen)) * found.step_s
     own = found.by_itself(i, found.fine)
     others = np.interp(time_s, time_s[seen], (found.mean - own / len(found.columns))[seen])
 
     def off(lag_s: float) -> Array:
-        keep = float(np.exp(-found.step_s / lag_s))
-        late = lfilter([1.0 - keep], [1.0, -keep], others - others[0]) + others[0]
-        return own - (late - others)
+        return own - (lagged(others, float(np.exp(-found.step_s / lag_s))) - others)
 
     after = seen & (time_s >= since_s)
     left = [float(np.var(off(lag_s)[after])) for lag_s in LAGS_S]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import poisson
+from scipy.special import pdtrc
 
 from twin.tower.air import Array
 from twin.tower.change_detection.changes import RATE_D
@@ -46,7 +46,10 @@ class Contradiction:
 
 def most_steps(days: float) -> int:
     """Return the largest plausible number of a thermometer's steps in a record of so many days."""
-    return int(poisson.isf(LEVEL, RATE_D["bias"] * days))
+    steps = 0
+    while pdtrc(steps, RATE_D["bias"] * days) > LEVEL:
+        steps += 1
+    return steps
 
 
 def contradictory_steps(steps: Sequence[Step], days: float, bound: float) -> tuple[Contradiction, ...]:

@@ -14,6 +14,7 @@ from twin.calibrators.hiera_unet.data.figures import Figures
 from twin.calibrators.hiera_unet.data.regimes import since_last
 from twin.calibrators.hiera_unet.data.series import STEP_S, ResampledSeries
 from twin.elements.flow import Flow
+from twin.first_order_lag import lagged, recursion
 from twin.network import Array, Network
 
 RATE_S = 60.0
@@ -70,12 +71,7 @@ def signed_log(x: Array) -> Array:
 
 def quick(values: Array, constant_s: float) -> Array:
     """Return values (n,) less their causal running mean over `constant_s`."""
-    from scipy.signal import lfilter  # a second of processor time, so only where it is used
-
-    keep = float(np.exp(-STEP_S / constant_s))
-    mean, _ = lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])
-    out: Array = values - mean
-    return out
+    return values - lagged(values, float(np.exp(-STEP_S / constant_s)))
 
 
 def slope(values: Array, span_s: float) -> Array:
@@ -216,12 +212,10 @@ def _spread(s: SignalSegment, sensor: str) -> Array:
 
 def _step(s: SignalSegment, column: str) -> Array:
     """Return the last step of a command, decaying over some minutes."""
-    from scipy.signal import lfilter  # a second of processor time, so only where it is used
-
     change = np.diff(s.held(column), prepend=s.held(column)[0]) / _scale(s, column)
     big = np.where(np.abs(change) > 0.01, change, 0.0)
     keep = float(np.exp(-STEP_S / 180.0))
-    return signed_log(10.0 * lfilter([1.0], [1.0, -keep], big))
+    return signed_log(10.0 * recursion(big, keep))
 
 
 def _since(s: SignalSegment, column: str) -> Array:

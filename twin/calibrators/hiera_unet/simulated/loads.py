@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from twin.calibrators.hiera_unet.data.series import STEP_S
+from twin.first_order_lag import recursion
 from twin.network import Array, Network
 
 KINDS = ("battle", "steps", "busy", "ramps", "constant", "cycles")
@@ -91,10 +92,7 @@ def room(rng: np.random.Generator, n: int, hour: float) -> Array:
 
 def wander(rng: np.random.Generator, n: int, sd: float, constant_s: float) -> Array:
     """Return an Ornstein-Uhlenbeck course (n,)."""
-    from scipy.signal import lfilter
-
     keep = float(np.exp(-STEP_S / constant_s))
     kicks = rng.standard_normal(n) * sd * np.sqrt(1.0 - keep**2)
     kicks[0] = rng.standard_normal() * sd
-    out: Array = lfilter([1.0], [1.0, -keep], kicks)
-    return out
+    return recursion(kicks, keep)
