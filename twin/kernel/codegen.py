@@ -24,7 +24,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 from twin.kernel.delays import NEVER, SLOTS, delay_lines
-from twin.kernel.functions import ARRIVED, EXP, PIECES
+from twin.kernel.functions import ARRIVED, EXP, LOG, PIECES
 from twin.kernel.integrators import PAIRS, Integrator
 from twin.kernel.source_text import NAME, KernelText, indent, renamed
 from twin.network import Network
@@ -417,7 +417,7 @@ class KernelGenerator:
         used_names = {name for line in (*fixed, *block) for name in NAME.findall(line)}
         wanted = [i for i in range(len(self.network.ids)) if f"p{i}" in used_names]
         head += [*(f"p{i} = base[{i}]" for i in wanted if f"p{i}" not in self.parameters), *fixed]
-        functions = EXP + (ARRIVED if any(d.dead_time for _, d in s.drives) else "")
+        functions = EXP + LOG + (ARRIVED if any(d.dead_time for _, d in s.drives) else "")
         return "\n".join(
             [
                 f'"""Generated: {self.mode} kernel of a network of {self.k} states. Changes here are lost."""',
