@@ -1,6 +1,6 @@
 """Functions that generated kernels call, as text: they are compiled beside each kernel, for its number of lanes.
 
-LANES, SLOTS and NEVER are constants of the generated module.
+LANES, SLOTS, NEVER, PER_STEP, PER_STABLE and DECAYED are constants of the generated module.
 """
 
 import math
@@ -37,6 +37,12 @@ def log(x):
     s = (y - 1.0) / (y + 1.0)
     q = s * s
     return e * {math.log(2.0)!r} + 2.0 * s * ({_SERIES})
+'''
+SUBSTEPS = '''
+@inlined
+def substeps(x, norm):
+    """Return the least number of substeps, not rounded, for the fastest state's rate and the norm, times the interval."""
+    return max(min(x * PER_STEP, DECAYED), min(norm * PER_STABLE, x * PER_STEP))
 '''
 ARRIVED = '''
 @typed('f8(f8[::1], f8[:,::1], i8, i8, f8)')

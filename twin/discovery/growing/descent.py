@@ -103,7 +103,7 @@ class _Way:
             self._choose(points, readings)
             return
         if not self._begun:
-            self._begun, self.readings, readings = True, readings[0], readings[1:]
+            self._begun, self.readings, readings = True, readings[0].copy(), readings[1:]
             self._residual = self._whitened(self.readings)
             self._cost = self._total(self.v, self._residual)
         if self._lacking.any():
@@ -132,7 +132,7 @@ class _Way:
         step, gained = point - self.v, self._cost - new
         predicted = self._residual - self._slopes @ step
         promised = self._cost - self._total(point, predicted)
-        self.v, self.readings, self._residual, self._cost = point, there, residual, new
+        self.v, self.readings, self._residual, self._cost = point, there.copy(), residual, new
         self._damping = max(damping / 10.0, LEAST_DAMPING)
         self._rounds += 1
         if self._rounds >= ROUNDS:
