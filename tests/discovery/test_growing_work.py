@@ -53,7 +53,10 @@ def test_it_reads_what_the_whole_superset_reads(problem: GrowthProblem) -> None:
 
 
 def test_kernels_are_shared_by_hypotheses_of_the_same_kinds(problem: GrowthProblem) -> None:
-    found = {id(problem.superset.specialised.of(problem.superset.specialised.kinds([c]))) for c in problem.superset.candidates}
+    found = {
+        id(problem.superset.specialised.of(problem.superset.specialised.kinds([c])))
+        for c in problem.superset.candidates
+    }
     assert len(found) <= 8 < len(problem.superset.candidates)
 
 

@@ -41,7 +41,7 @@ def log(x):
 SUBSTEPS = '''
 @inlined
 def substeps(x, norm):
-    """Return the least number of substeps, not rounded, for the fastest state's rate and the norm, times the interval."""
+    """Return the least substeps, not rounded, for the largest own rate and the norm of rates, times the interval."""
     return max(min(x * PER_STEP, DECAYED), min(norm * PER_STABLE, x * PER_STEP))
 '''
 ARRIVED = '''

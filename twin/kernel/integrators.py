@@ -29,10 +29,10 @@ class Integrator:
     """Lines of the substeps of one kernel.
 
     An error decays like the mode that it is of, while the inputs are constant. Of a mode that decays by exp(-x) in a
-    sample interval, N steps of order p leave the share x^(p + 1) exp(-x) / ((p + 1)! N^p) of a jump at its end. For p = 4
-    that is at most 0.175 / N^4, however fast the mode is: with N = `DECAYED` below a millionth. More steps are needed
-    for stability alone, which both methods keep up to a step of 2.78 over the spectral radius (Hairer & Wanner, Solving
-    ODEs II, sec. IV.2). What comes out of a delay is not constant in an interval, so networks with delays keep
+    sample interval, N steps of order p leave the share x^(p + 1) exp(-x) / ((p + 1)! N^p) of a jump at its end. For
+    p = 4 that is at most 0.175 / N^4, however fast the mode is: with N = `DECAYED` below a millionth. More steps are
+    needed for stability alone, which both methods keep up to a step of 2.78 over the spectral radius (Hairer & Wanner,
+    Solving ODEs II, sec. IV.2). What comes out of a delay is not constant in an interval, so networks with delays keep
     `STEP_LIMIT`.
 
     Attributes

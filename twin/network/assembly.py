@@ -15,7 +15,17 @@ from functools import cached_property
 from twin.elements import Fragment, Names
 from twin.elements.fragments import InputDrive, SampleMemory
 from twin.elements.symbols import Stream, Symbols
-from twin.network.affine import ONE, ZERO, AffineForm, NotAffineError, add, affine_form, multiply, names_in, parse_expression
+from twin.network.affine import (
+    ONE,
+    ZERO,
+    AffineForm,
+    NotAffineError,
+    add,
+    affine_form,
+    multiply,
+    names_in,
+    parse_expression,
+)
 from twin.network.model import Network
 
 FEW_STATES = 5

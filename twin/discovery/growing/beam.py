@@ -19,7 +19,6 @@ from twin.discovery.growing.superset.candidate_superset import name_of, unsized
 from twin.discovery.growing.superset.hidden_masses import kin
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
-from twin.network import Array
 
 BEAM = 3
 """Sets that are extended in each round: so many by likelihood, and as many by squares."""
