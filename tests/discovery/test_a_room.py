@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twin.discovery.growing.answer import diagnose_grown
-from twin.discovery.growing.descent import descend
+from twin.discovery.growing.descent import Start, descend
 from twin.discovery.growing.growth import samples_of
 from twin.discovery.growing.growth_problem import GrowthProblem
 from twin.discovery.growing.superset.candidate_superset import CandidateSuperset, unsized
@@ -142,9 +142,9 @@ def test_hypotheses_go_down_side_by_side_as_each_does_alone(room: Network) -> No
     plain = GrowthProblem(superset, samples, ids)
     sun = next(c for c in superset.candidates if c.kind == "heat_source" and "sun" in c.driver)
     sunny = plain.with_entries((unsized(sun, 1.0),))
-    starts = [(plain, plain.start()), (sunny, sunny.start()), (sunny, sunny.start() + 0.3)]
+    starts = [Start(plain, plain.start()), Start(sunny, sunny.start()), Start(sunny, sunny.start() + 0.3)]
     together = descend(starts)
     for start, end in zip(starts, together, strict=True):
-        assert end == pytest.approx(descend([start])[0], rel=1e-2, abs=1e-2)
-    assert together[1][-1] * sunny.scales[0] == pytest.approx(6.0, rel=0.1)
-    assert together[2] == pytest.approx(together[1], rel=0.05, abs=0.05)
+        assert end.v == pytest.approx(descend([start])[0].v, rel=1e-2, abs=1e-2)
+    assert together[1].v[-1] * sunny.scales[0] == pytest.approx(6.0, rel=0.1)
+    assert together[2].v == pytest.approx(together[1].v, rel=0.05, abs=0.05)

@@ -1,9 +1,11 @@
 """The generated kernel against solve_ivp, against the matrix exponential, and in the corners."""
 
+import math
 import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +15,33 @@ from tests.twin.conftest import LOOP, START, drive
 from twin.gauss_newton import FitData, linearise
 from twin.kernel import Kernel, clean_time, hold_inputs, mask_measurements, simulate
 from twin.kernel.codegen import LANES
+from twin.kernel.functions import LOG, SUBSTEPS
 from twin.network import Network, TwinFileError
 from twin.reference_simulation import right_hand_side, simulate_exact
 from twin.twinfile import parse
+
+FAST = """
+format = 1
+name = "fast"
+[inputs]
+T_ambient_C = {{ nominal = 20.0, lower = -40.0, upper = 60.0 }}
+[elements.volume]
+kind = "node"
+capacitance = {capacitance}
+[elements.loss]
+kind = "ambient_loss"
+node = "volume"
+hA = {{ value = 100.0, lower = 1.0, upper = 1000.0 }}
+[elements.shine]
+kind = "radiation"
+node = "volume"
+ambient = "T_ambient_C"
+area = {{ value = 1.0e-9, lower = 0.0, upper = 1.0 }}
+[elements.T_C]
+kind = "sensor"
+node = "volume"
+columns = ["T_C"]
+"""
 
 
 @pytest.fixture(scope="module")
@@ -184,3 +210,32 @@ def test_a_network_that_is_not_linear_agrees_with_solve_ivp(loop_text: str) -> N
         state = done.y[:, -1]
         rows.append(state)
     assert np.abs(kernel.trace(np.tile(net.values, (2, 1)), START, t, u)[0] - np.array(rows)).max() < 2e-6
+
+
+def test_an_interval_of_many_time_constants_takes_as_many_substeps_as_stability_asks_for() -> None:
+    """Errors of a fast mode decay within the interval; a fixed step per time constant would cost five times as many."""
+    made: dict[str, Any] = {"inlined": lambda f: f, "PER_STEP": 5.0, "PER_STABLE": 0.5, "DECAYED": 24.0}
+    exec(SUBSTEPS, made)
+    assert [made["substeps"](x, 2.0 * x) for x in (0.1, 2.0, 4.8, 10.0, 24.0, 100.0)] == [0.5, 10, 24, 24, 24, 100]
+    # Water that overshoots couples states by more than their own rates: then as many as accuracy would have asked for.
+    assert made["substeps"](100.0, 600.0) == 300.0 and made["substeps"](100.0, 4000.0) == 500.0
+
+
+@pytest.mark.parametrize("speed", [0.4, 1.0, 2.0, 8.0])
+def test_what_an_interval_leaves_of_a_jump_is_a_millionth_however_fast_a_volume_is(speed: float) -> None:
+    """Samples of 12 s; the law that is not affine is too weak to be seen, and selects Runge-Kutta."""
+    network = parse(FAST.format(capacitance=100.0 / speed))
+    t = np.arange(40) * 12.0
+    u = np.column_stack([np.where(np.arange(40) % 7 < 3, 20.0, 21.0)])
+    y = simulate(network, t, u, np.array([20.0]))[:, 0]
+    expected = [20.0]
+    for room in u[:-1, 0]:
+        expected.append(room + (expected[-1] - room) * np.exp(-12.0 * speed))
+    assert np.abs(y - expected).max() < 1e-6
+
+
+def test_the_kernels_logarithm_is_exact_to_rounding() -> None:
+    made: dict[str, Any] = {"inlined": lambda f: f}
+    exec(LOG, made)
+    for x in (*np.geomspace(1e-300, 1e300, 601), *np.linspace(0.5, 2.0, 301)):
+        assert made["log"](float(x)) == pytest.approx(math.log(x), rel=1e-15, abs=1e-300)

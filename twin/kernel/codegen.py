@@ -24,8 +24,8 @@ from collections.abc import Iterator
 from typing import Literal
 
 from twin.kernel.delays import NEVER, SLOTS, delay_lines
-from twin.kernel.functions import ARRIVED, EXP, PIECES
-from twin.kernel.integrators import PAIRS, Integrator
+from twin.kernel.functions import ARRIVED, EXP, LOG, PIECES, SUBSTEPS
+from twin.kernel.integrators import DECAYED, PAIRS, Integrator
 from twin.kernel.source_text import NAME, KernelText, indent, renamed
 from twin.network import Network
 from twin.network.affine import lane_free_call, names_in
@@ -234,12 +234,22 @@ class KernelGenerator:
         if self.integrator.paired:
             slow += [f"pairs = {PAIRS[0][1]}"]
             slow += [f"if fast{n} > 0: pairs = {PAIRS[n + 1][1]}" for n in range(len(PAIRS) - 1)]
+        if self.integrator.stable > self.integrator.limit:
+            norm = self.text.row("norm") * lanes
+            steps, sums = s.norm
+            body = [f"{name} = {text}" for name, text in steps]
+            body += [f"norm = max({', '.join(['0.0', *sums])})", f"W[{norm} + l] = norm"]
+            slow += ["norm_of_all = 0.0", "if fast > 0:", *indent(self.text.loop(body))]
+            slow += [f"    for l in range({lanes}):", f"        norm_of_all = max(norm_of_all, W[{norm} + l])"]
         slow += ["if fast > 0:", f"    for l in range({lanes}):", f"        limit = max(limit, W[{at} + l])"]
+        needed = "dt * limit * PER_STEP"
+        if self.integrator.stable > self.integrator.limit:
+            needed = "substeps(dt * limit, dt * norm_of_all)"
         stepwise = [
             # Beyond LONGEST / limit the inputs have been constant for so many time constants that more of
             # the same changes nothing; without the cut a gap of months would take minutes.
             "dt = min(dt, LONGEST / limit)",
-            "steps = max(int(np.ceil(dt * limit * PER_STEP - 1e-9)), 1)",
+            f"steps = max(int(np.ceil({needed} - 1e-9)), 1)",
             "h = dt / steps",
         ]
         on_step = self.integrator.refresh()
@@ -417,7 +427,7 @@ class KernelGenerator:
         used_names = {name for line in (*fixed, *block) for name in NAME.findall(line)}
         wanted = [i for i in range(len(self.network.ids)) if f"p{i}" in used_names]
         head += [*(f"p{i} = base[{i}]" for i in wanted if f"p{i}" not in self.parameters), *fixed]
-        functions = EXP + (ARRIVED if any(d.dead_time for _, d in s.drives) else "")
+        functions = EXP + LOG + SUBSTEPS + (ARRIVED if any(d.dead_time for _, d in s.drives) else "")
         return "\n".join(
             [
                 f'"""Generated: {self.mode} kernel of a network of {self.k} states. Changes here are lost."""',
@@ -427,6 +437,8 @@ class KernelGenerator:
                 f"NEVER = {NEVER!r}",
                 f"STEP_LIMIT = {self.integrator.limit!r}",
                 f"PER_STEP = {1.0 / self.integrator.limit!r}",
+                f"PER_STABLE = {1.0 / self.integrator.stable!r}",
+                f"DECAYED = {DECAYED!r}",
                 f"LONGEST = {MOST_STEPS * self.integrator.limit!r}",
                 "",
                 functions,

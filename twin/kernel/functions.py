@@ -1,7 +1,9 @@
 """Functions that generated kernels call, as text: they are compiled beside each kernel, for its number of lanes.
 
-LANES, SLOTS and NEVER are constants of the generated module.
+LANES, SLOTS, NEVER, PER_STEP, PER_STABLE and DECAYED are constants of the generated module.
 """
+
+import math
 
 EXP = '''
 @inlined
@@ -17,6 +19,30 @@ def exp(x):
     y = y * y
     y = y * y
     return y * y
+'''
+_HALVINGS = "\n".join(
+    f"    e = e + {k}.0 if y >= {2.0**k!r} else e\n    y = y * {2.0**-k!r} if y >= {2.0**k!r} else y"
+    for k in (512, 256, 128, 64, 32, 16, 8, 4, 2, 1)
+)
+_SERIES = " + q * (".join(repr(1.0 / k) for k in range(1, 21, 2)) + ")" * 9
+LOG = f'''
+@inlined
+def log(x):
+    """log(x) of a positive number by halving and the series of artanh: no call, so the lane loop stays vectorised."""
+    e = -1023.0 if x < 1.0 else 0.0
+    y = x * {2.0**1023!r} if x < 1.0 else x
+{_HALVINGS}
+    e = e + 1.0 if y > {math.sqrt(2.0)!r} else e
+    y = y * 0.5 if y > {math.sqrt(2.0)!r} else y
+    s = (y - 1.0) / (y + 1.0)
+    q = s * s
+    return e * {math.log(2.0)!r} + 2.0 * s * ({_SERIES})
+'''
+SUBSTEPS = '''
+@inlined
+def substeps(x, norm):
+    """Return the least substeps, not rounded, for the largest own rate and the norm of rates, times the interval."""
+    return max(min(x * PER_STEP, DECAYED), min(norm * PER_STABLE, x * PER_STEP))
 '''
 ARRIVED = '''
 @typed('f8(f8[::1], f8[:,::1], i8, i8, f8)')

@@ -19,6 +19,8 @@ from twin.network.assembly import FEW_STATES, NetworkEquations
 
 ORDER, STEP_LIMIT = 5, 0.2
 """Order of the series of a small network, and the largest step * rate for it; also the limit for Runge-Kutta."""
+STABLE, DECAYED = 2.0, 24.0
+"""Largest step * (norm of the rates) of the same, with a margin to 2.78, and the substeps beyond which it counts."""
 PAIRS = ((0.3, 1), (0.67, 2), (1.14, 3), (1.67, 4))
 """Step * rate -> pairs of terms beyond the third, for a large network."""
 
@@ -26,10 +28,19 @@ PAIRS = ((0.3, 1), (0.67, 2), (1.14, 3), (1.67, 4))
 class Integrator:
     """Lines of the substeps of one kernel.
 
+    An error decays like the mode that it is of, while the inputs are constant. Of a mode that decays by exp(-x) in a
+    sample interval, N steps of order p leave the share x^(p + 1) exp(-x) / ((p + 1)! N^p) of a jump at its end. For
+    p = 4 that is at most 0.175 / N^4, however fast the mode is: with N = `DECAYED` below a millionth. More steps are
+    needed for stability alone, which both methods keep up to a step of 2.78 over the spectral radius (Hairer & Wanner,
+    Solving ODEs II, sec. IV.2). What comes out of a delay is not constant in an interval, so networks with delays keep
+    `STEP_LIMIT`.
+
     Attributes
     ----------
     limit
         Largest substep * (bound on a state's own rate).
+    stable
+        Largest substep * (norm of the rates) in an interval of more than `DECAYED` substeps.
     paired
         True if terms run in a loop.
     """
@@ -39,6 +50,7 @@ class Integrator:
         self.count = len(self.system.states)
         self.paired = self.system.linear and self.count > FEW_STATES
         self.limit = PAIRS[-1][0] if self.paired else STEP_LIMIT
+        self.stable = self.limit if self.paired or delays else STABLE
         self.constants = list(dict.fromkeys(f.constant for f in self.system.lag_terms))
         if self.paired:
             for j in range(self.count):

@@ -15,7 +15,17 @@ from functools import cached_property
 from twin.elements import Fragment, Names
 from twin.elements.fragments import InputDrive, SampleMemory
 from twin.elements.symbols import Stream, Symbols
-from twin.network.affine import ZERO, AffineForm, NotAffineError, add, affine_form, multiply, names_in, parse_expression
+from twin.network.affine import (
+    ONE,
+    ZERO,
+    AffineForm,
+    NotAffineError,
+    add,
+    affine_form,
+    multiply,
+    names_in,
+    parse_expression,
+)
 from twin.network.model import Network
 
 FEW_STATES = 5
@@ -260,6 +270,44 @@ class NetworkEquations:
             else:
                 rows.append(speeds[j - len(self.network.nodes)])
         return tuple(rows)
+
+    @cached_property
+    def norm(self) -> tuple[tuple[tuple[str, str], ...], tuple[str, ...]]:
+        """Return names with expressions, in order, and in these the sum of each state's absolute rates, 1/s, by all
+        states.
+
+        The largest sum bounds the spectral radius (maximum norm; Horn and Johnson, Matrix Analysis, sec. 5.6). What is
+        not affine counts with the elements' declared bounds, for the state itself and for another one.
+        """
+        share = {name: f"sum_of_{name}" for name in self.chain}
+
+        def total(form: AffineForm) -> str:
+            terms = (multiply(share.get(v, ONE), f"abs({text})") for v, text in form.slopes.items())
+            return " + ".join(terms) or ZERO
+
+        steps = tuple((share[name], total(form)) for name, form in self.chain.items())
+        rows = []
+        for j, (form, rest) in enumerate(self.slopes):
+            text = total(form)
+            if rest != ZERO:
+                text = f"{text} + 2.0 * ({self._rest_bound(j)})"
+            rows.append(text)
+        return steps, tuple(dict.fromkeys(rows))
+
+    def _rest_bound(self, j: int) -> str:
+        """Return the declared bound on the dependence of what is not affine in state j's rate on the state, 1/s."""
+        if j >= len(self.network.nodes):
+            return self.rates[j]
+        node = self.network.nodes[j]
+        found = []
+        for _, f in self.parts:
+            if node in f.heat and node in f.conductance:
+                try:
+                    self.form(f.heat[node])
+                except NotAffineError:
+                    found.append(f"({f.conductance[node]})")
+        # An element that declares no bound counts with the node's whole bound.
+        return f"({' + '.join(found)}) * c{j}" if found else self.rates[j]
 
     def dependencies(self, text: str) -> set[str]:
         """Return the names on which an expression depends, through coefficients too."""

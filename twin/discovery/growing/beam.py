@@ -12,14 +12,13 @@ import numpy as np
 
 from twin.discovery.effects.ambiguity_groups import EffectLabel
 from twin.discovery.evidence.priors import plausibility
-from twin.discovery.growing.descent import descend
+from twin.discovery.growing.descent import Start, descend
 from twin.discovery.growing.growth_problem import GrowthFit, GrowthProblem
 from twin.discovery.growing.scoring import Scored, scores
 from twin.discovery.growing.superset.candidate_superset import name_of, unsized
 from twin.discovery.growing.superset.hidden_masses import kin
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
-from twin.network import Array
 
 BEAM = 3
 """Sets that are extended in each round: so many by likelihood, and as many by squares."""
@@ -28,7 +27,7 @@ COARSE = 2
 NEARER = (3.0**0.5, 3.0**0.25, 3.0**0.125)
 """Factors by which the time constants of the best set are varied afterwards, as long as the fit improves."""
 
-Starts = list[tuple[GrowthProblem, Array]]
+Starts = list[Start]
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class Beam:
         slow = [c.slow_s for c in empty.superset.candidates if c.slow_s]
         self._slow = (0.99 * min(slow), 1.01 * max(slow)) if slow else (0.0, 0.0)
         self.known: dict[frozenset[str], FittedSet] = {}
-        self.levels: list[list[FittedSet]] = [self._fitted([[(empty, empty.start())]])]
+        self.levels: list[list[FittedSet]] = [self._fitted([[Start(empty, empty.start())]])]
 
     def extended(self, old: FittedSet, entry: Entry, *sizes: float) -> FittedSet:
         """Return a set with one more effect."""
@@ -72,12 +71,13 @@ class Beam:
         """Return the start points of a set with one more effect: twin file's values, the smaller set's, other sizes."""
         problem = self.empty.with_entries((*old.fit.entries, entry))
         others = [self._onward(old, replace(entry, size=size)) for size in sizes]
-        return [(problem, problem.start()), (problem, problem.start(old.fit)), *others]
+        own = old.fit if not old.fit.entries else None
+        return [Start(problem, problem.start(), own), Start(problem, problem.start(old.fit), old.fit), *others]
 
-    def _onward(self, old: FittedSet, entry: Entry) -> tuple[GrowthProblem, Array]:
+    def _onward(self, old: FittedSet, entry: Entry) -> Start:
         """Return the start point of a set with one more effect at the smaller set's values."""
         problem = self.empty.with_entries((*old.fit.entries, entry))
-        return problem, problem.start(old.fit)
+        return Start(problem, problem.start(old.fit), old.fit)
 
     def reduced(self, old: FittedSet, entry: Entry) -> FittedSet:
         """Return a set without one of its effects, and without those that depend on elements of this effect alone."""
@@ -89,7 +89,7 @@ class Beam:
         }
         rest = tuple(e for e in old.fit.entries if name_of(e.candidate) not in gone)
         problem = self.empty.with_entries(rest)
-        return self._fitted([[(problem, problem.start()), (problem, problem.start(old.fit))]])[0]
+        return self._fitted([[Start(problem, problem.start()), Start(problem, problem.start(old.fit), old.fit)]])[0]
 
     def deepen(self) -> bool:
         """Fit sets of one more effect; return False if a further round is not worth while."""
@@ -127,7 +127,7 @@ class Beam:
                         if not self._slow[0] <= f * slow_s <= self._slow[1]:
                             continue
                         problem = self.empty.with_entries((*rest, unsized(slower(f * slow_s), entry.size / f)))
-                        starts.append([(problem, problem.start(best.fit))])
+                        starts.append([Start(problem, problem.start(best.fit), best.fit)])
                 new = self._fitted(starts)
                 found += new
                 best, old = min((best, *new), key=by_squares), best
@@ -136,16 +136,17 @@ class Beam:
 
     def _fitted(self, sets: Sequence[Starts]) -> list[FittedSet]:
         """Fit sets, each from several start points: problems that differ only in their scales."""
-        keys = [frozenset(name_of(e.candidate) for e in starts[0][0].entries) for starts in sets]
+        keys = [frozenset(name_of(e.candidate) for e in starts[0].problem.entries) for starts in sets]
         new: dict[frozenset[str], Starts] = {}
         for key, starts in zip(keys, sets, strict=True):
             if key not in self.known:
                 new.setdefault(key, starts)
         ends = iter(descend([start for starts in new.values() for start in starts]))
         for key, starts in new.items():
-            problem, fit = min(((p, p.fitted(next(ends))) for p, _ in starts), key=lambda f: f[1].cost)
-            price = sum(self._price - 2.0 * math.log(plausibility(e)) for e in problem.entries)
-            self.known[key] = FittedSet(problem, fit, fit.cost + price)
+            fits = [s.problem.fitted(end.v, end.readings) for s, end in zip(starts, ends, strict=False)]
+            fit = min(fits, key=lambda f: f.cost)
+            price = sum(self._price - 2.0 * math.log(plausibility(e)) for e in fit.entries)
+            self.known[key] = FittedSet(fit.problem, fit, fit.cost + price)
         return [self.known[key] for key in keys]
 
     def _neighbours(self, chosen: Iterable[FittedSet], fitted: Mapping[frozenset[str], FittedSet]) -> list[FittedSet]:

@@ -10,7 +10,7 @@ beginning; later onsets are left to `engine.diagnose`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -241,8 +241,9 @@ def _ladder(beam: Beam, merit: Merit, best: FittedSet) -> tuple[GrowthRung, ...]
             if all((n := name.rsplit(".", 1)[0]) in stands or n in e.candidate.adds for name in e.candidate.changes)
         ]
         new = min((beam.extended(now, e) for e in free), key=by_score)
-        entry = next(e for e in best.fit.entries if name_of(e.candidate) in new.ids - now.ids)
-        without = beam.reduced(best, entry)
+        at = next(i for i, e in enumerate(best.fit.entries) if name_of(e.candidate) in new.ids - now.ids)
+        entry = replace(best.fit.entries[at], sd=float(best.fit.deviations[at]))
+        without = beam.reduced(best, best.fit.entries[at])
         better, share = merit.on_hidden_rows(without, best)
         elsewhere = merit.elsewhere(without) - merit.elsewhere(best)
         needed, chance = without.fit.cost - best.fit.cost, merit.chance(without)

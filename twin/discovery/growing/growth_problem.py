@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -59,11 +60,14 @@ class GrowthFit:
     """Fit of one hypothesis.
 
     Attributes:
-        entries: effects with sizes and standard deviations. values: (p,) of the network. state: (k,) initial, degC.
+        problem, v: (count,) the minimum of its squares.
+        entries: effects with sizes. values: (p,) of the network. state: (k,) initial, degC.
         residual: (n, m) K measured minus simulated, NaN where nothing was measured. spectrum: of the residual.
-        cost: -2 log likelihood plus the prior's part. slopes: (n, m, q + k + e) derivatives of the readings.
-        at_bound: ids of tunables on a bound.
+        cost: -2 log likelihood plus the prior's part. at_bound: ids of tunables on a bound.
     """
+
+    problem: GrowthProblem
+    v: Array
 
     entries: tuple[Entry, ...]
     values: Array
@@ -71,8 +75,6 @@ class GrowthFit:
     residual: Array
     spectrum: Spectrum
     cost: float
-    slopes: Array
-    precision: Array
     at_bound: tuple[str, ...]
 
     @property
@@ -86,6 +88,29 @@ class GrowthFit:
     @property
     def sizes(self) -> Array:
         return np.array([e.size for e in self.entries])
+
+    @cached_property
+    def slopes(self) -> Array:
+        """Return the derivatives (n, m, q + k + e) of the readings, which cost a simulation for each variable."""
+        around = self.problem.readings(self.problem.around(self.v))
+        return self.problem.slopes(self.v, around[0], around[1:])
+
+    @property
+    def precision(self) -> Array:
+        """Return the precision (count, count) of the prior."""
+        return self.problem.precision
+
+    @cached_property
+    def deviations(self) -> Array:
+        """Return the standard deviations (e,) of the sizes."""
+        p = self.problem
+        white = Spectrum.white(p.samples.sigma, len(p.samples.time))
+        j = p.whitened(self.slopes, white)
+        inverse = np.linalg.pinv(j.T @ j + p.precision, rcond=1e-13, hermitian=True)
+        # What is left is not white, so the squares' own covariance would be too sure.
+        coloured = j * (self.spectrum.roots / p.samples.sigma).reshape(-1, 1)
+        sd = np.sqrt(np.maximum(np.diag(inverse @ (coloured.T @ coloured + p.precision) @ inverse), 0.0))
+        return sd[p.q + p.k :] * p.scales
 
 
 class GrowthProblem:
@@ -129,6 +154,11 @@ class GrowthProblem:
         )
         self.steps = np.concatenate([np.full(self.q, _STEP), np.full(self.k, _STATE_STEP), np.full(self.e, _SIZE_STEP)])
 
+    @cached_property
+    def kinds(self) -> frozenset[str]:
+        """Return the costly kinds of elements that the effects change, which name the problem's kernel."""
+        return self.superset.specialised.kinds(x.candidate for x in self.entries)
+
     def with_entries(self, entries: tuple[Entry, ...], samples: SampledRecord | None = None) -> GrowthProblem:
         """Return the problem of other effects, or of another record."""
         return GrowthProblem(self.superset, samples or self.samples, self.ids, entries)
@@ -168,39 +198,52 @@ class GrowthProblem:
         """Return v and a step from it in each variable (1 + count, count)."""
         return v + np.vstack([np.zeros(v.size), np.diag(self._signed(v))])
 
-    def sloped(self, v: Array, readings: Array) -> tuple[Array, Array]:
-        """Return the residual (n, m) and the derivatives (n, m, count) of the readings, from those around v."""
-        differences = (readings[1:] - readings[0]) / self._signed(v)[:, None, None]
-        return self.samples.measured - readings[0], np.moveaxis(differences, 0, 2)
+    def slopes(self, v: Array, there: Array, around: Array, which: np.ndarray | None = None) -> Array:
+        """Return the derivatives (n, m, c) of the readings, from those at v (n, m) and around it (c, n, m).
+
+        Args:
+            which: (count,) True for the c variables; all by default.
+        """
+        steps = self._signed(v) if which is None else self._signed(v)[which]
+        return np.moveaxis((around - there) / steps[:, None, None], 0, 2)
+
+    def taken_over(self, near: GrowthFit) -> tuple[Array, np.ndarray]:
+        """Return the derivatives (n, m, count) that a fit of some of the effects has, and (count,) True where it has
+        none.
+        """
+        own = near.problem
+        first = self.q + self.k
+        known = {id(x.candidate): i for i, x in enumerate(own.entries)}
+        found = np.zeros((*near.slopes.shape[:2], first + self.e))
+        found[:, :, :first] = near.slopes[:, :, :first]
+        lacking = np.zeros(first + self.e, dtype=bool)
+        for i, x in enumerate(self.entries):
+            j = known.get(id(x.candidate))
+            if j is None:
+                lacking[first + i] = True
+            else:
+                found[:, :, first + i] = near.slopes[:, :, first + j] * (self.scales[i] / own.scales[j])
+        return found, lacking
 
     def _signed(self, v: Array) -> Array:
         signed: Array = np.where(v + self.steps > self.high, -self.steps, self.steps)
         return signed
 
-    def fitted(self, v: Array) -> GrowthFit:
-        """Return the fit at v, the minimum of the squares."""
-        white = Spectrum.white(self.samples.sigma, len(self.samples.time))
-        residual, slopes = self.sloped(v, self.readings(self.around(v)))
-        left = cosines(residual, self.present)
-        unlikely, spectrum = judged(left, self.samples.sigma)
+    def fitted(self, v: Array, readings: Array) -> GrowthFit:
+        """Return the fit at v, the minimum of the squares, with its readings (n, m)."""
+        residual = self.samples.measured - readings
+        unlikely, spectrum = judged(cosines(residual, self.present), self.samples.sigma)
         cost = unlikely + float(v @ self.precision @ v)
-        j = self.whitened(slopes, white)
-        inverse = np.linalg.pinv(j.T @ j + self.precision, rcond=1e-13, hermitian=True)
-        # What is left is not white, so the squares' own covariance would be too sure.
-        coloured = j * (spectrum.roots / self.samples.sigma).reshape(-1, 1)
-        sd = np.sqrt(np.maximum(np.diag(inverse @ (coloured.T @ coloured + self.precision) @ inverse), 0.0))
         values = self.network.values.copy()
         values[self.scaling.index] = self.scaling.to_values(self.z0 + v[: self.q])
         first = self.q + self.k
-        entries = tuple(
-            replace(x, size=float(v[first + i] * s), sd=float(sd[first + i] * s))
-            for i, (x, s) in enumerate(zip(self.entries, self.scales, strict=True))
-        )
+        sizes = (v[first:] * self.scales).tolist()
+        entries = tuple(replace(x, size=size) for x, size in zip(self.entries, sizes, strict=True))
         z = v[: self.q]
         held = (z <= self.low[: self.q] + 1e-9) | (z >= self.high[: self.q] - 1e-9)
         bound = tuple(name for name, hit in zip(self.scaling.ids, held, strict=True) if hit)
         state = self.state0 + v[self.q : first]
-        return GrowthFit(entries, values, state, residual, spectrum, cost, slopes, self.precision, bound)
+        return GrowthFit(self, v, entries, values, state, residual, spectrum, cost, bound)
 
     def whitened(self, values: Array, spectrum: Spectrum) -> Array:
         """Return values (n, m, ...) in time as cosine coefficients (n * m, ...) over their standard deviations."""
@@ -212,10 +255,15 @@ class GrowthProblem:
 
 def readings_of(asked: Sequence[tuple[GrowthProblem, Array]]) -> Array:
     """Return the readings (all P, n, m) of problems of one superset and with the same inputs, each at v (P, count)."""
+    samples, superset = asked[0][0].samples, asked[0][0].superset
     points = [problem.point(v) for problem, v in asked]
     full, state = (np.concatenate(rows) for rows in zip(*points, strict=True))
-    samples, superset = asked[0][0].samples, asked[0][0].superset
     if samples.at_rest:
         return superset.resting.readings(samples.inputs, full)
-    found = superset.kernel.trace(full, state, samples.time, samples.inputs, FEW_LANES)[0]
+    found = np.empty((len(full), *samples.measured.shape))
+    own = [superset.specialised.of(problem.kinds) for problem, v in asked for _ in v]
+    for one in dict.fromkeys(own):
+        rows = np.array([o is one for o in own])
+        part = full[np.ix_(rows, one.columns)], state[rows]
+        found[rows] = one.kernel.trace(*part, samples.time, samples.inputs, FEW_LANES)[0]
     return np.stack([centred(one) for one in found]) if samples.means else found

@@ -10,8 +10,8 @@ from twin.discovery.effects.ambiguity_groups import EffectLabel
 from twin.discovery.effects.phrases import said
 from twin.discovery.growing.beam import Beam, FittedSet, by_score, by_squares, likeliest
 from twin.discovery.growing.calibration import Chance, by_chance
-from twin.discovery.growing.descent import descend
-from twin.discovery.growing.growth_problem import SampledRecord, readings_of
+from twin.discovery.growing.descent import Start, descend
+from twin.discovery.growing.growth_problem import SampledRecord
 from twin.discovery.growing.likelihood import cosines, judged
 from twin.discovery.growing.superset.candidate_superset import name_of
 from twin.discovery.scoring.equivalence import width
@@ -251,10 +251,9 @@ class Merit:
         ways = [(fold, k, one) for fold in range(FOLDS) for k, one in enumerate((without, found))]
         hidden = [samples.without(self._piece % FOLDS == fold) for fold in range(FOLDS)]
         parts = [one.problem.with_entries(one.fit.entries, hidden[fold]) for fold, _, one in ways]
-        ends = descend([(part, part.start(one.fit)) for part, (*_, one) in zip(parts, ways, strict=True)])
-        readings = readings_of([(part, v[None, :]) for part, v in zip(parts, ends, strict=True)])
-        for (fold, k, _), predicted in zip(ways, readings, strict=True):
-            off = (samples.measured - predicted) / samples.sigma
+        ends = descend([Start(part, part.start(one.fit), one.fit) for part, (*_, one) in zip(parts, ways, strict=True)])
+        for (fold, k, _), end in zip(ways, ends, strict=True):
+            off = (samples.measured - end.readings) / samples.sigma
             for piece in range(fold, PIECES, FOLDS):
                 out[piece, k] = float(np.nansum(off[self._piece == piece] ** 2))
         return out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -14,7 +14,6 @@ from twin.discovery.growing.likelihood import Spectrum
 from twin.discovery.growing.superset.candidate_superset import CandidateSuperset, unsized
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
-from twin.kernel import FEW_LANES
 from twin.network import Array
 
 KEPT = 1.0e-4
@@ -56,7 +55,7 @@ def scores(superset: CandidateSuperset, problem: GrowthProblem, fit: GrowthFit) 
             candidates.append(candidate)
     answers = _Answers(problem, fit, candidates)
     sizes = [_sizes(c, size) for c, size in zip(candidates, _asked(candidates, answers, rms), strict=True)]
-    changes = answers([(i, size) for i, some in enumerate(sizes) for size in some])
+    changes = iter(answers([(i, size) for i, some in enumerate(sizes) for size in some]))
     each = zip(candidates, sizes, strict=True)
     every = [_best(c, some, list(islice(changes, len(some))), metrics) for c, some in each]
     return [scored for scored in every if scored is not None]
@@ -64,7 +63,7 @@ def scores(superset: CandidateSuperset, problem: GrowthProblem, fit: GrowthFit) 
 
 def answer_of(problem: GrowthProblem, fit: GrowthFit, entry: Entry) -> Array:
     """Return the change of the readings (n, m), K, if an effect of its size joins a fit."""
-    return next(_Answers(problem, fit, [entry.candidate])([(0, entry.size)]))
+    return _Answers(problem, fit, [entry.candidate])([(0, entry.size)])[0]
 
 
 class _Answers:
@@ -73,17 +72,18 @@ class _Answers:
     def __init__(self, problem: GrowthProblem, fit: GrowthFit, candidates: Sequence[Candidate]) -> None:
         self._ones = [problem.with_entries((*fit.entries, unsized(c, 1.0))) for c in candidates]
         self._starts = [one.start(fit) for one in self._ones]
-        self._none = list(self._readings([(i, 0.0) for i in range(len(candidates))]))
+        # At size 0 all candidates of one kernel are the fit itself.
+        first = {one.kinds: i for i, one in reversed(list(enumerate(self._ones)))}
+        nothing = self._readings([(i, 0.0) for i in first.values()])
+        self._none = dict(zip(first, nothing, strict=True))
 
-    def __call__(self, asked: Sequence[tuple[int, float]]) -> Iterator[Array]:
-        """Yield the changes for candidates, by their number, at sizes."""
-        for (i, _), readings in zip(asked, self._readings(asked), strict=True):
-            yield readings - self._none[i]
+    def __call__(self, asked: Sequence[tuple[int, float]]) -> list[Array]:
+        """Return the changes for candidates, by their number, at sizes."""
+        readings = self._readings(asked)
+        return [there - self._none[self._ones[i].kinds] for (i, _), there in zip(asked, readings, strict=True)]
 
-    def _readings(self, asked: Sequence[tuple[int, float]]) -> Iterator[Array]:
-        rows = [(self._ones[i], np.append(self._starts[i][:-1], size)[None, :]) for i, size in asked]
-        for first in range(0, len(rows), FEW_LANES):
-            yield from readings_of(rows[first : first + FEW_LANES])
+    def _readings(self, asked: Sequence[tuple[int, float]]) -> Array:
+        return readings_of([(self._ones[i], np.append(self._starts[i][:-1], size)[None, :]) for i, size in asked])
 
 
 def _best(candidate: Candidate, sizes: list[float], answers: list[Array], metrics: list[_Metric]) -> Scored | None:

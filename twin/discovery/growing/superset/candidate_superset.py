@@ -18,6 +18,7 @@ from twin.discovery.effects.shapes import Shape
 from twin.discovery.effects.shared_kernels import SharedKernel
 from twin.discovery.growing.superset.equivalent_places import family_candidates, untied_losses
 from twin.discovery.growing.superset.hidden_masses import masses
+from twin.discovery.growing.superset.specialised_kernels import SpecialisedKernels
 from twin.discovery.growing.superset.steady_states import SteadyStates
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.search import Entry
@@ -72,6 +73,11 @@ class CandidateSuperset:
     def resting(self) -> SteadyStates:
         """Return the steady states of the network."""
         return SteadyStates(self.network, self.kernel)
+
+    @cached_property
+    def specialised(self) -> SpecialisedKernels:
+        """Return the kernels of parts of the network."""
+        return SpecialisedKernels(self.original, self.network, self.candidates, self.kernel.lane_ids)
 
     def model(self, entries: tuple[Entry, ...]) -> Model:
         """Return the model of some of the effects."""
