@@ -150,7 +150,11 @@ def _outcome(
 
 
 def covers(accepted: Sequence[Mapping[str, Any]], effect: Mapping[str, Any], *, driver: bool = True) -> bool:
-    """Return True if an accepted answer has the effect's kind and place and, where it names any, its driver."""
+    """Return True if an accepted answer has the effect's kind and place and, where it names any, its driver.
+
+    An effect with a course of its own states that no law was found: its driver is not judged.
+    """
+    driver = driver and effect.get("shape") != "own course"
     return any(
         a["kind"] == effect["kind"]
         and a["where"] == effect["where"]
