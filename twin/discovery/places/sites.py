@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from twin.discovery.diagnosis import Course, Effect
-from twin.discovery.effects.laws import CandidateLaw
+from twin.discovery.effects.laws import CandidateLaw, circuit_of
 from twin.discovery.records.grid import Grid
 from twin.discovery.scoring.score_tests import ScoreTest
 from twin.elements.empirical_heat import MOST_HEAT_W
@@ -53,7 +53,7 @@ class Site:
 
 
 def sites_of(network: Network, score_test: ScoreTest, laws: Sequence[CandidateLaw]) -> dict[str, Site]:
-    """Return the sites of an unknown quantity by name; flow, fan and room only if the twin has a law for them."""
+    """Return the sites of an unknown quantity by name; flows, fan and room only if the twin has a law for them."""
     anything = (-math.inf, math.inf)
     errors = [c for law in laws if (c := law.candidate).kind == "sensor" and c.driver == "constant"]
     held = {c.where: (c.lower, c.upper) for c in errors}
@@ -71,8 +71,8 @@ def sites_of(network: Network, score_test: ScoreTest, laws: Sequence[CandidateLa
         if c.driver != "constant":
             continue
         kind: tuple[str, Signature] | None = None
-        if c.kind == "flow" and c.where == "loop":
-            kind = ("flow", "transport")
+        if circuit_of(network, c):
+            kind = ("flow" if c.where == "loop" else c.where, "transport")
         elif c.kind == "heat_rejection" and c.change == "existing":
             kind = ("rejection", "energy")
         elif c.kind == "sensor" and c.where in network.input_columns:
