@@ -138,8 +138,6 @@ def _held(course: Course, site: Site) -> bool:
 
 
 def _course_text(driver: str) -> str:
-    if driver == "periodic":
-        return "coming and going about evenly"
-    if driver in ("history", "threshold", "constant", "elapsed_time"):
+    if driver in ("history", "periodic", "threshold", "constant", "elapsed_time"):
         return "on a course of its own that no law describes"
     return f"nearest to the course of {driver.replace('_', ' ')}, but no law of it describes that"
