@@ -81,6 +81,12 @@ CASES = [
         score.RIGHT,
     ),
     (PUMP_HEAT, answer("effect found", (effect("sensor", "tank", "history") | {"shape": "own course"},)), score.WRONG),
+    (
+        ANY_LOSS,
+        answer("effect found", (effect("heat_source", "tank", "history") | {"shape": "own course"},)),
+        score.RIGHT,
+    ),
+    (ANY_LOSS, answer("effect found", (effect("heat_source", "tank", "history"),)), score.WRONG),
     (ANY_LOSS, answer("adequate"), score.MISSED),
     (ANY_LOSS, answer("crashed"), score.CRASHED),
 ]

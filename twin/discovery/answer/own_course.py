@@ -19,7 +19,7 @@ from twin.discovery.answer.assessed_finding import AssessedFinding
 from twin.discovery.answer.isolation import of_listed_laws
 from twin.discovery.diagnosis import Alternative, Course, Diagnosis, Effect, OwnCourse, Verdict
 from twin.discovery.effects.ambiguity_groups import ambiguity_groups
-from twin.discovery.effects.statement import both_ways, disturbance_statement
+from twin.discovery.effects.statement import disturbance_statement
 from twin.discovery.evidence.hypotheses import place, place_of
 from twin.discovery.evidence.priors import FORM_ERRORS, FORM_SHARE, SPREAD, SURE
 from twin.discovery.places.empirical import Empirical
@@ -45,14 +45,14 @@ def own_course(case: AssessedFinding, curve: Empirical | None) -> OwnCourse | No
         return None
     heaters = heaters_of(network, whole, case.laws)
     found = sorted((*case.free, *courses(whole, heaters, SPREAD)), key=lambda c: -c.log_evidence)
-    best, site = found[0], (sites_of(network, whole, case.laws) | heaters)[found[0].site]
+    best, sites = found[0], sites_of(network, whole, case.laws) | heaters
     if best.log_evidence < (1.0 - FORM_SHARE) * finding.odds:
         return None  # laws explain more, though the held-out segment refutes them
-    if not _explains(best, case) or not _held(best, site) or _elsewhere(best, finding.together):
+    if not _explains(best, case) or not _held(best, sites[best.site]) or _elsewhere(best, finding.together):
         return None
     if any(group.sensor == best.where for group in case.single):
         return None  # which one of several thermometers, only their differences tell
-    shares = _shares(found)
+    shares = _shares([replace(c, log_evidence=c.log_evidence / sites[c.site].counts) for c in found])
     left = {label: share for label, share in shares.items() if share > OPEN * shares[best.kind, best.where]}
     if 2 * len(left) > len(shares):
         return None  # most places remain
@@ -86,14 +86,15 @@ def claimed(found: Diagnosis) -> Diagnosis:
 
 
 def _shares(found: Sequence[Course]) -> dict[tuple[str, str], float]:
-    """Return the posterior probability of each kind and place, of courses by falling log evidence.
+    """Return the posterior probability of each kind and place, of courses with their log evidence.
 
     A lumped twin distributes an effect among its sensors otherwise than its rig. Another course is therefore as likely
     as the first if its log evidence is smaller by no more than such an error of form may amount to.
     """
     weights: dict[tuple[str, str], float] = {}
-    for course in found:
-        behind = (1.0 - FORM_SHARE) * found[0].log_evidence - course.log_evidence
+    best = max(course.log_evidence for course in found)
+    for course in sorted(found, key=lambda c: -c.log_evidence):
+        behind = (1.0 - FORM_SHARE) * best - course.log_evidence
         weights.setdefault((course.kind, course.where), math.exp(-max(behind, 0.0)))
     total = sum(weights.values())
     return {label: weight / total for label, weight in weights.items()}
@@ -111,9 +112,7 @@ def _effect(course: Course, case: AssessedFinding, curve: Empirical | None) -> E
     says = f"{entered}, {_course_text(driver) if curve is None else f'on a curve of {curve.variable}'}"
     gone = 100.0 * (1.0 - course.left / whole.misfit)
     evidence = f"{says}; with it {gone:.1f} % of the mismatch is gone"
-    leaves = course.kind == "heat_source" and effect.value < 0.0 and not both_ways(*effect.interval90)
-    kind = "heat_loss" if leaves else course.kind
-    return replace(effect, kind=kind, driver=driver, shape="own course", says=says, evidence=evidence)
+    return replace(effect, kind=course.kind, driver=driver, shape="own course", says=says, evidence=evidence)
 
 
 def _elsewhere(course: Course, together: tuple[Entry, Entry] | None) -> bool:

@@ -34,7 +34,7 @@ def disturbance_statement(
         True if `value` is the mean of a course, and `interval` its range.
     """
     since = f", from {clock(since_s)} on" if since_s is not None and since_s > 0.0 else ""
-    if interval is not None and average and both_ways(*interval):
+    if interval is not None and average and _both_ways(*interval):
         between = f"between {_sized(interval[0], unit)} and {_sized(interval[1], unit)}"
         verb = agreeing(where, {"W": "gives off", "K": "is off by"}.get(unit, "differs from the twin by"))
         rest = " that the twin does not model" if unit == "W" else ""
@@ -53,7 +53,7 @@ def disturbance_statement(
     return text + since
 
 
-def both_ways(low: float, high: float) -> bool:
+def _both_ways(low: float, high: float) -> bool:
     """Return True if a course goes about as far to either side, so that its mean tells nothing."""
     return low < 0.0 < high and min(-low, high) > 0.5 * max(-low, high)
 
