@@ -23,8 +23,9 @@ def plain(effect: dict[str, Any]) -> str:
 
 
 def after_label(document: dict[str, Any]) -> str:
-    """Return the label of the twin whose errors are called `after`."""
-    if document["verdict"] in ("effect found", "ambiguous"):
+    """Return the label of the twin whose errors are called `after`; an effect of its own course predicts none."""
+    predicts = any(e["shape"] != "own course" for e in document["effects"])
+    if document["verdict"] in ("effect found", "ambiguous") and predicts:
         return "with the effect"
     tried = any(e["after"] != e["before"] for e in document["error"]["sensors"].values())
     return "with the best effect tried" if tried else "re-tuned"

@@ -94,6 +94,6 @@ def test_heat_that_was_taken_for_constant_is_not_believed_where_it_follows_the_f
         "fan", {"kind": "heat_source", "node": "tank", "driver": "fan_speed_pct", "law": "cubed", "power_100": 120.0}
     )
     answer = diagnose(own, Bench(truth).record(16.0), Bench(own).record(10.0, seed=7))
-    assert answer.verdict == "unexplained" and answer.network is None
+    assert answer.verdict == "effect found" and answer.network is None
     (unknown,) = answer.effects
-    assert (unknown.where, unknown.driver) == ("tank", "fan_speed")
+    assert (unknown.where, unknown.driver) == ("tank", "fan_speed") and unknown.shape == "own course"

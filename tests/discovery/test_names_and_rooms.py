@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
-from tests.discovery.conftest import Bench
+from tests.discovery.conftest import HOUR, NOISE_K, Bench
 from tests.twin.conftest import LOOP
+from twin.discovery import diagnose
 from twin.discovery.effects.catalogue import catalogue, extended
 from twin.discovery.effects.laws import Book
 from twin.discovery.effects.open_laws.sites import OpenSite, sites_of
@@ -77,3 +80,29 @@ def test_the_room_is_the_column_that_elements_name() -> None:
     assert parse(TEXT).room == "T_ambient_C"
     assert network.room == "T_room_C"
     assert {site.name for site in _sites(network)} == {site.name for site in _sites(parse(TEXT))}
+
+
+def test_less_flow_of_the_second_of_two_circuits_is_named_with_that_circuit() -> None:
+    """Heater and modules are one circuit, radiator and tank another; they meet in an exchanger."""
+    ring = 'path = ["heater", "modules", "radiator", "tank"]'
+    second = """
+[elements.circuit2]
+kind = "flow"
+path = ["radiator", "tank"]
+pump = "pump_speed_pct"
+nominal = 3.0
+factor = { value = 1.0, lower = 0.5, upper = 1.6, status = "boundary" }
+"""
+    meets = 'resistance = { value = 5.0, lower = 0.01, upper = 1000.0, source = "R_pm,r" }'
+    assert ring in TEXT and meets in TEXT
+    lines = [x for x in TEXT.splitlines() if not x.startswith(("effectiveness_radiator", "effectiveness_tank"))]
+    text = "\n".join(lines).replace(ring, 'path = ["heater", "modules"]').replace(meets, "resistance = 0.01") + second
+    network = parse(re.sub(r"circuit\.(effectiveness_(?:radiator|tank))", r"circuit2.\1", text))
+    assert {c.where for c in catalogue(network) if c.kind == "flow" and c.driver == "constant"} >= {"loop", "circuit2"}
+    network = network.with_values({f"{s.name}.sigma": NOISE_K for s in network.sensors} | {"tank.capacitance": 3.0e4})
+    bench = Bench(network, HOUR)
+    less = bench.record(14.0, changed=bench.with_values(circuit2__factor=0.6), onset_h=5.0)
+    found = diagnose(network, less, bench.record(10.0, seed=7))
+    # Of two volumes in a ring, water that passes by one of them is the same.
+    told = {(e.kind, e.where) for e in (*found.effects, *found.indistinguishable)}
+    assert ("flow", "circuit2") in told <= {("flow", "circuit2"), ("flow", "radiator"), ("flow", "tank")}

@@ -104,8 +104,10 @@ def test_a_reading_that_is_off_now_and_then_is_told_from_heat_and_from_flow(
     hours, measured = record.time_s / HOUR, record.measured.copy()
     measured[((hours > 3) & (hours < 5)) | ((hours > 7) & (hours < 8)) | ((hours > 9) & (hours < 12)), 3] += 0.8
     found = diagnose(brisk.network, replace(record, measured=measured), brisk_healthy)
-    assert found.verdict == "unexplained" and found.effects[0].where == "T_tank_C"
-    assert found.description["signature"] == "sensor" and "a reading in error" in found.summary
+    assert found.verdict == "effect found" and found.network is None
+    (effect,) = found.effects
+    assert (effect.kind, effect.where, effect.shape) == ("sensor", "T_tank_C", "own course")
+    assert found.description["signature"] == "sensor" and "nothing is adopted" in found.summary
 
 
 def odd_record(bench: Bench) -> Columns:
@@ -146,7 +148,10 @@ def test_a_curve_is_offered_for_heat_that_follows_something_in_an_odd_way(
     odd: tuple[Diagnosis, AssessedFinding],
 ) -> None:
     found = odd[0]
-    assert found.verdict == "unexplained" and found.network is None  # offered, not adopted
+    assert found.verdict == "effect found" and found.network is None  # offered, not adopted
+    (effect,) = found.effects
+    assert (effect.kind, effect.where, effect.driver) == ("heat_source", "tank", "fan_speed")
+    assert "on a curve of fan_speed_pct" in found.summary and "offered, not adopted" in found.summary
     curve = found.empirical
     assert curve is not None and (curve.node, curve.variable) == ("tank", "fan_speed_pct")
     at = np.interp((50.0, 70.0, 100.0), curve.knots, curve.heats)
@@ -174,5 +179,6 @@ def test_a_radiator_is_named_before_the_rooms_thermometer_where_nothing_known_fi
     ]
     raised = replace(record, measured=record.measured + runs[0] - runs[1])
     found = diagnose(network, raised, brisk_healthy)
-    assert found.verdict == "unexplained" and found.effects[0].where == "radiator"
+    assert found.verdict == "ambiguous" and found.effects[0].where == "radiator"
+    assert {a.where for a in found.indistinguishable} <= {"radiator", "fan_speed", "T_ambient_C"}
     assert found.description["there"]["sensor"] == "T_ambient_C"

@@ -121,13 +121,16 @@ def test_adequate_on_a_case_with_an_effect_is_no_wrong_name() -> None:
     assert failure(o) == "missed"
 
 
-def test_outside_the_catalogue_only_abstention_is_right() -> None:
+def test_outside_the_catalogue_abstention_or_kind_and_place_of_an_own_course_is_right() -> None:
     hidden = HIDDEN | {"group": "outside", "labels": [["heat_source", "tank", "periodic"]]}
     unknown = judged(answer("unexplained", effect("unknown", "T_tank_C")), hidden)
     assert unknown.right and unknown.place
     named = judged(answer("effect found", effect()), hidden)
     assert not named.right
     assert failure(named) == "named a cause outside the catalogue"
+    for where, right in (("tank", True), ("heater", False)):
+        own = effect("heat_source", where, "history") | {"shape": "own course"}
+        assert judged(answer("effect found", own), hidden).right is right
 
 
 def test_what_came_and_went_may_be_told_by_two_steps() -> None:

@@ -99,7 +99,7 @@ def test_a_curve_is_offered_and_adopted_only_when_asked(
     twin.write_text(dump(brisk.network), encoding="utf-8")
     asked = ("diagnose", record, "--twin", twin, "--healthy", healthy, "--out", tmp_path / "out")
     done = typed(*asked)
-    assert done.returncode == 1 and "unexplained" in done.stdout and "offered, not adopted" in done.stdout
+    assert done.returncode == 1 and "effect found" in done.stdout and "offered, not adopted" in done.stdout
     assert not (tmp_path / "twin.r1.toml").exists() and len(list(tmp_path.glob("twin*.toml"))) == 1
     proposal = load(tmp_path / "out/empirical.toml")
     assert proposal.parameters["unexplained_at_tank.q_3"].value > 50.0

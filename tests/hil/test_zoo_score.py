@@ -75,6 +75,18 @@ CASES = [
     ),
     (ANY_LOSS, answer("effect found", (effect("heat_loss", "tank", "temperature"),)), score.RIGHT),
     (ANY_LOSS, answer("unexplained", (effect("heat_source", "tank"),)), score.ABSTAINED),
+    (
+        PUMP_HEAT,
+        answer("effect found", (effect("heat_source", "tank", "history") | {"shape": "own course"},)),
+        score.RIGHT,
+    ),
+    (PUMP_HEAT, answer("effect found", (effect("sensor", "tank", "history") | {"shape": "own course"},)), score.WRONG),
+    (
+        ANY_LOSS,
+        answer("effect found", (effect("heat_source", "tank", "history") | {"shape": "own course"},)),
+        score.RIGHT,
+    ),
+    (ANY_LOSS, answer("effect found", (effect("heat_source", "tank", "history"),)), score.WRONG),
     (ANY_LOSS, answer("adequate"), score.MISSED),
     (ANY_LOSS, answer("crashed"), score.CRASHED),
 ]

@@ -105,7 +105,8 @@ class Moved:
 class Course:
     """Unknown quantity at one site over time: `mean` and `sd` (b,) at `hours` (b,), in `unit`.
 
-    `signature` is its physical type: energy, transport or sensor; `where` its place in the vocabulary of the diagnosis.
+    `signature` is its physical type: energy, transport or sensor; `kind` and `where` are its kind of fault and place in
+    the vocabulary of the diagnosis. `left`: weighted squares that it leaves of the record's misfit.
     """
 
     site: str
@@ -116,6 +117,8 @@ class Course:
     log_evidence: float
     signature: str = "energy"
     where: str = ""
+    kind: str = "heat_source"
+    left: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -130,6 +133,15 @@ class Fold:
     last_s: float
     rows: int
     gain: float
+
+
+@dataclass(frozen=True)
+class OwnCourse:
+    """Claim of an effect that follows nothing recorded; `others` are the kinds and places that the record leaves."""
+
+    verdict: Verdict
+    effects: tuple[Effect, ...]
+    others: tuple[Alternative, ...]
 
 
 LeadKind = Literal["segment", "input range", "outside healthy range", "place", "row"]
@@ -187,6 +199,7 @@ class Diagnosis:
         threshold: of a grown twin, score that the best effect reaches by noise in one record of a hundred.
         method: `contest` of effects with a commissioned twin, or `growth` of a twin that was never commissioned;
             `growth at rest` from steady states, whose times are their numbers from 1.
+        own_course: claim of an effect without a law, made if no other explains the record.
         elsewhere: errors on further records. leads: segments, ranges and places to investigate in the remaining misfit.
     """
 
@@ -218,6 +231,7 @@ class Diagnosis:
     method: Literal["contest", "growth", "growth at rest"] = "contest"
     elsewhere: tuple[Elsewhere, ...] = ()
     leads: tuple[Lead, ...] = ()
+    own_course: OwnCourse | None = None
 
     def document(self) -> dict[str, Any]:
         """Return the content of ``diagnosis.json``."""

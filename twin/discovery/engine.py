@@ -9,6 +9,7 @@ import numpy as np
 
 from twin.discovery.answer.assessed_finding import AssessedFinding
 from twin.discovery.answer.leads import with_leads
+from twin.discovery.answer.own_course import claimed
 from twin.discovery.answer.verdict import conclude
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.evidence.commissioned import (
@@ -76,6 +77,20 @@ def diagnose(
     TwinFileError
         A record too short or without readings, a healthy record that is not healthy.
     """
+    return claimed(_isolated(network, record, healthy, more=more, say=say, held_out=held_out, limits=limits))
+
+
+def _isolated(
+    network: Network,
+    record: Columns,
+    healthy: Columns | None,
+    *,
+    more: tuple[Columns, ...],
+    say: Callable[[str], None],
+    held_out: float,
+    limits: Limits | None,
+) -> Diagnosis:
+    """Return the diagnosis before an effect with a course of its own is claimed; arguments as of `diagnose`."""
     say("reading")
     given = record
     record, unread = _comparable(network, record, healthy)
@@ -87,7 +102,7 @@ def diagnose(
     single = _members(known, record, grid, healthy, block_edges(len(grid.time)))
 
     def again(other: Columns) -> Diagnosis:
-        return diagnose(network, other, healthy, more=more, say=say, held_out=held_out, limits=limits)
+        return _isolated(network, other, healthy, more=more, say=say, held_out=held_out, limits=limits)
 
     start = float(grid.time[0])
     faulty = faulty_thermometers(single)
@@ -130,6 +145,7 @@ def diagnose(
         split=split,
         errors=off,
         free=whole.free,
+        laws=whole.laws,
         usual=usual,
         single=single,
         still=still,

@@ -100,12 +100,12 @@ class Flow(Element):
         return None
 
     def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
-        now = sites.values[f"{self.name}.factor"]
+        now, (first, *_) = sites.values[f"{self.name}.factor"], sites.having(self.kind)
         return (
             self.parameter_candidate(
                 "factor",
                 "flow",
-                "loop",
+                "loop" if first.name == self.name else self.name,
                 "constant",
                 EffectSize("of the nominal flow", 0.03, -0.8 * now, 1.0),
                 "carries {value} more than when commissioned",

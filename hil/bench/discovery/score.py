@@ -201,10 +201,10 @@ def _in_words(
     effects: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any]], label: tuple[str, str, str]
 ) -> bool:
     """Return True if steps of one kind, place and driver describe a transient effect, a stuck sensor is called stuck,
-    or a switch has its place and its ambiguity.
+    a switch has its place and its ambiguity, or an effect with a course of its own has its kind and place.
     """
     switch = label[2] == "threshold" and tuple(label) in {(a["kind"], a["where"], a["driver"]) for a in others}
-    if len(effects) == 1 and (switch or effects[0]["shape"] == "stuck"):
+    if len(effects) == 1 and (switch or effects[0]["shape"] in ("stuck", "own course")):
         return (effects[0]["kind"], effects[0]["where"]) == (label[0], label[1])
     told = {(e["kind"], e["where"], e["driver"], e["shape"]) for e in effects}
     kind, where, _, shape = next(iter(told))

@@ -150,9 +150,17 @@ def _outcome(
 
 
 def covers(accepted: Sequence[Mapping[str, Any]], effect: Mapping[str, Any], *, driver: bool = True) -> bool:
-    """Return True if an accepted answer has the effect's kind and place and, where it names any, its driver."""
+    """Return True if an accepted answer has the effect's kind and place and, where it names any, its driver.
+
+    An effect with a course of its own states that no law was found: its driver is not judged, and its heat may enter or
+    leave.
+    """
+    own = effect.get("shape") == "own course"
+    driver, kinds = driver and not own, {effect["kind"]}
+    if own and "heat_source" in kinds:
+        kinds.add("heat_loss")
     return any(
-        a["kind"] == effect["kind"]
+        a["kind"] in kinds
         and a["where"] == effect["where"]
         and (not driver or not a["drivers"] or any(_same(effect["driver"], d) for d in a["drivers"]))
         for a in accepted

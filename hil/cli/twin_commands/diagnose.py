@@ -184,7 +184,7 @@ def command(
         require_writable(folder, DiagnosisFolderError, "give another --out, or --dry to write nothing")
         click.get_current_context().with_resource(held(folder, DiagnosisFolderError))
     found = _diagnosed(ready, diagnose_files, quiet=as_json)
-    if empirical and found.verdict == "unexplained" and found.empirical is None:
+    if empirical and found.empirical is None and found.network is None and found.verdict != "adequate":
         raise TwinFileError(
             f"{subject.record}: no curve of any column predicts the unexplained error; there is none to adopt"
         )

@@ -7,7 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hil.diagnosis.terminal.table import error_table, errors_of, held_out
-from hil.diagnosis.wording import ambiguity_group, likeness, reasons
+from hil.diagnosis.wording import after_label, ambiguity_group, likeness, reasons
 from twin.discovery import Diagnosis
 
 
@@ -65,7 +65,7 @@ def print_diagnosis(to: Console, d: Diagnosis) -> None:
         to.print(title, style="italic", soft_wrap=True)
         to.print(error_table(one["sensors"], "with the effect" if d.network is not None else "re-tuned"))
     far = [m for m in d.moved if d.method == "contest" and max(abs(m.before_sd), abs(m.after_sd)) > 3.0]
-    if far and d.effects:
+    if far and d.effects and after_label(document) != "re-tuned":
         table = Table(title="Changed tunables, in standard deviations of commissioning", title_justify="left")
         for heading in ("parameter", "commissioned", "re-tuned alone", "with the effect", "unit"):
             table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from twin.discovery.diagnosis import SensorError
+from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.evidence.finding import Finding
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.places.localise import Course
@@ -23,6 +25,7 @@ class AssessedFinding:
         known: noise, prior and structure. whole: the score test over all of the record.
         split: row of `grid` at which the held-out segment begins. errors: per sensor, over the held-out segment.
         free: posterior course of an unknown quantity at each site, free in each block, the likeliest first.
+        laws: candidate effects on this record.
         usual: the re-tuned twin's error is the usual one, so no effect is missing. beyond: inputs leave the healthy
             record's range far, and the error is no larger than it may be there in health.
         single: thermometers whose mean is one sensor. still: stuck thermometers, and when.
@@ -37,6 +40,7 @@ class AssessedFinding:
     split: int
     errors: dict[str, SensorError]
     free: tuple[Course, ...]
+    laws: Sequence[CandidateLaw] = ()
     usual: bool = False
     beyond: bool = False
     single: tuple[Members, ...] = ()

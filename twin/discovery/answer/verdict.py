@@ -18,9 +18,10 @@ from twin.discovery.answer.isolation import (
     nearest_effects,
     of_listed_laws,
 )
+from twin.discovery.answer.own_course import own_course
 from twin.discovery.answer.switches import switched
 from twin.discovery.answer.words import summarise
-from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Verdict
+from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, OwnCourse, Verdict
 from twin.discovery.effects.ambiguity_groups import ambiguity_groups
 from twin.discovery.effects.open_laws.laws import adopted
 from twin.discovery.effects.phrases import clock
@@ -68,6 +69,7 @@ class Answer:
     network: Network | None = None
     empirical: Empirical | None = None
     notes: tuple[str, ...] = ()
+    own_course: OwnCourse | None = None
 
 
 def conclude(case: AssessedFinding, notes: tuple[str, ...]) -> Diagnosis:
@@ -121,6 +123,7 @@ def conclude(case: AssessedFinding, notes: tuple[str, ...]) -> Diagnosis:
         odds=finding.odds,
         claim=finding.claim,
         empirical=answer.empirical,
+        own_course=answer.own_course,
     )
 
 
@@ -143,13 +146,15 @@ def _unknown(case: AssessedFinding) -> Answer:
         drivers = drivers_of(case.known.probe.network, case.grid, whole)
         description = describe(free[0], drivers, whole.step_s / 3600.0) | signatures(free)
     curve = _offered(case) if free else None
+    offered = curve if isinstance(curve, Empirical) else None
     return Answer(
         "unexplained",
         effects=unknown(free, description, float(case.grid.time[0])),
         alternatives=nearest_effects(case.finding),
         description=description,
-        empirical=curve if isinstance(curve, Empirical) else None,
+        empirical=offered,
         notes=(*((curve.says,) if isinstance(curve, TooMuchHeat) else ()), *_at_one_moment(case)),
+        own_course=None if isinstance(curve, TooMuchHeat) else own_course(case, offered),
     )
 
 

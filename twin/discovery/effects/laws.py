@@ -34,6 +34,16 @@ class CandidateLaw:
     reading: Array | None
 
 
+def circuit_of(network: Network, candidate: Candidate) -> str:
+    """Return the element whose whole flow a candidate changes by a constant share, or "" if it is another effect."""
+    if (candidate.kind, candidate.driver) != ("flow", "constant") or len(candidate.changes) != 1:
+        return ""
+    ((key, _),) = candidate.changes.items()
+    element, parameter = key.split(".")
+    named = parameter == "factor" and any(e.name == element for e in network.elements if isinstance(e, Flow))
+    return element if named else ""
+
+
 def temperatures(network: Network, grid: Grid, run: FreeRun) -> Array:
     """Return node temperatures (n, k), degC: measured where a sensor is, with gaps closed; simulated elsewhere."""
     from scipy.ndimage import uniform_filter1d

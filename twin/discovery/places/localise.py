@@ -52,7 +52,22 @@ def courses(score_test: ScoreTest, sites: dict[str, Site], begins: float) -> tup
         summed = np.cumsum(root, axis=1)
         mean, sd = summed.T @ half, np.sqrt((summed**2).sum(axis=0))
         counted = min(site.counts * evidence, evidence)
-        found.append(Course(name, site.unit, score_test.hours, mean, sd, counted, site.signature, site.where))
+        steps = root.T @ half
+        left = score_test.misfit - float(steps @ (2.0 * score - gram @ steps))
+        found.append(
+            Course(
+                site=name,
+                unit=site.unit,
+                hours=score_test.hours,
+                mean=mean,
+                sd=sd,
+                log_evidence=counted,
+                signature=site.signature,
+                where=site.where,
+                kind=site.kind,
+                left=left,
+            )
+        )
     found.sort(key=lambda c: -c.log_evidence)
     return tuple(found)
 

@@ -7,15 +7,17 @@ the elements that they drive, so that their action on all nodes together is know
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from twin.discovery.diagnosis import Course, Effect
-from twin.discovery.effects.laws import CandidateLaw
+from twin.discovery.effects.laws import CandidateLaw, circuit_of
 from twin.discovery.records.grid import Grid
 from twin.discovery.scoring.score_tests import ScoreTest
+from twin.elements.empirical_heat import MOST_HEAT_W
 from twin.network import Array, Network
 
 Signature = Literal["energy", "transport", "sensor"]
@@ -34,8 +36,8 @@ _DRIVERS = {"heater_power_W": "heater_power", "pump_speed_pct": "pump_speed", "f
 
 @dataclass(frozen=True)
 class Site:
-    """Site of an unknown quantity: `vector` (sites, b) of one unit, a typical size, its place in the diagnosis's
-    vocabulary.
+    """Site of an unknown quantity: `vector` (sites, b) of one unit, a typical size, its kind of fault and its place in
+    the diagnosis's vocabulary, and the sizes that it can hold.
 
     `counts` is the share of its evidence that counts, so that a site of higher prior wins if it is nearly as good.
     """
@@ -44,47 +46,66 @@ class Site:
     typical: float
     unit: str
     signature: Signature
+    kind: str
     where: str
     counts: float = 1.0
+    holds: tuple[float, float] = (-math.inf, math.inf)
 
 
-def sites_of(network: Network, score_test: ScoreTest, laws: list[CandidateLaw]) -> dict[str, Site]:
-    """Return the sites of an unknown quantity by name; flow, fan and room only if the twin has a law for them."""
+def sites_of(network: Network, score_test: ScoreTest, laws: Sequence[CandidateLaw]) -> dict[str, Site]:
+    """Return the sites of an unknown quantity by name; flows, fan and room only if the twin has a law for them."""
+    anything = (-math.inf, math.inf)
+    errors = [c for law in laws if (c := law.candidate).kind == "sensor" and c.driver == "constant"]
+    held = {c.where: (c.lower, c.upper) for c in errors}
     out: dict[str, Site] = {}
     for k, node in enumerate(network.nodes):
         p = np.zeros((score_test.sites, score_test.b))
         p[k] = 1.0
-        out[node] = Site(p, TYPICAL_W, "W", "energy", node)
+        out[node] = Site(p, TYPICAL_W, "W", "energy", "heat_source", node, holds=(-MOST_HEAT_W, MOST_HEAT_W))
     for j, name in enumerate(network.sensor_names):
         p = np.zeros((score_test.sites, score_test.b))
         p[score_test.k + j] = 1.0
-        out[name] = Site(p, TYPICAL_K, "K", "sensor", name)
+        out[name] = Site(p, TYPICAL_K, "K", "sensor", "sensor", name, holds=held.get(name, anything))
     for law in laws:
         c = law.candidate
         if c.driver != "constant":
             continue
         kind: tuple[str, Signature] | None = None
-        if c.kind == "flow" and c.where == "loop":
-            kind = ("flow", "transport")
+        if circuit_of(network, c):
+            kind = ("flow" if c.where == "loop" else c.where, "transport")
         elif c.kind == "heat_rejection" and c.change == "existing":
             kind = ("rejection", "energy")
         elif c.kind == "sensor" and c.where in network.input_columns:
             kind = (c.where, "sensor")
         if kind is not None and kind[0] not in out:
             counts = ROOM if kind[1] == "sensor" else 1.0
-            out[kind[0]] = Site(score_test.vector(law), c.typical, c.unit, kind[1], c.where, counts)
+            # The linear estimate of a large change of the flow overshoots: readings go with its inverse.
+            vector, holds = score_test.vector(law), anything if kind[1] == "transport" else (c.lower, c.upper)
+            out[kind[0]] = Site(vector, c.typical, c.unit, kind[1], c.kind, c.where, counts, holds)
     return out
+
+
+def heaters_of(network: Network, score_test: ScoreTest, laws: Sequence[CandidateLaw]) -> dict[str, Site]:
+    """Return the heaters' actuators as sites of an unknown gain by name: an unknown share of the commanded power."""
+    gains = [law for law in laws if (c := law.candidate).kind == "actuator" and c.driver == "constant"]
+    return {
+        c.where: Site(score_test.vector(law), c.typical, c.unit, "energy", c.kind, c.where, holds=(c.lower, c.upper))
+        for law in gains
+        if f"{(c := law.candidate).where}_W" in network.input_columns
+    }
 
 
 def drivers_of(network: Network, grid: Grid, score_test: ScoreTest) -> dict[str, Array]:
     """Return the block means (b,) of the drivers that an unknown may follow, by name."""
     means = score_test.block_means(grid.inputs)
-    out = {
-        _DRIVERS.get(column, "temperature" if column.endswith("_C") else column): means[:, j]
-        for j, column in enumerate(network.input_columns)
-    }
+    out = {driver_name(column): means[:, j] for j, column in enumerate(network.input_columns)}
     out["elapsed_time"] = score_test.hours
     return out
+
+
+def driver_name(column: str) -> str:
+    """Return an input column, or a node, as a driver in the diagnosis's vocabulary."""
+    return _DRIVERS.get(column, "temperature" if column.endswith("_C") else column)
 
 
 def signatures(found: tuple[Course, ...]) -> dict[str, Any]:

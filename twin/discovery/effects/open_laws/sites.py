@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.discovery.effects.laws import CandidateLaw
+from twin.discovery.effects.laws import CandidateLaw, circuit_of
 from twin.elements.candidates import free_name
 from twin.network import Array, Network
 
@@ -68,7 +68,7 @@ def sites_of(network: Network, named: Sequence[CandidateLaw]) -> list[OpenSite]:
             site = _heat_site(network, law)
         elif c.kind == "sensor" and c.driver == "constant" and law.reading is not None:
             site = _reading_site(network, law)
-        elif c.kind == "flow" and c.driver == "constant" and c.where == "loop":
+        elif circuit_of(network, c):
             site = _flow_site(network, law)
         elif c.kind == "heat_loss" and c.driver == "temperature_difference":
             site = _loss_site(network, law)
@@ -144,11 +144,10 @@ def _reading_site(network: Network, law: CandidateLaw) -> OpenSite | None:
 
 def _flow_site(network: Network, law: CandidateLaw) -> OpenSite | None:
     c = law.candidate
-    (key, *others) = c.changes
-    element, parameter = key.split(".")
-    if others or parameter != "factor" or law.heat is None:
+    element = circuit_of(network, c)
+    if law.heat is None:
         return None
-    factor = network.parameters[key].value
+    factor = network.parameters[f"{element}.factor"].value
     name = f"flow_{_plain(element)}"
     added = free_name(name, network.elements)
     tables = {added: {"kind": "law_flow", "flow": element, "driver": f"open_{name}", "form": "linear"}}
