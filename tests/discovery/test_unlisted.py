@@ -12,7 +12,7 @@ from tests.discovery.conftest import HOUR, Bench
 from twin.discovery import diagnose
 from twin.discovery.answer import acceptance
 from twin.discovery.effects.catalogue import catalogue
-from twin.discovery.evidence.hypotheses import Found, Hypothesis
+from twin.discovery.evidence.hypotheses import Found
 from twin.discovery.evidence.marginal import form_basis
 from twin.discovery.evidence.part import Part
 from twin.discovery.evidence.priors import CLAIM
@@ -47,27 +47,6 @@ def test_an_unknown_needs_the_odds_of_a_claim_at_the_place_of_a_named_effect_alo
     named = SimpleNamespace(entries=(SimpleNamespace(candidate=candidate),))
     assert found.rival_of(named) == pytest.approx(needed)  # type: ignore[arg-type]
     assert found.unlisted == pytest.approx(20.0)
-
-
-@pytest.mark.parametrize(
-    ("odds", "onset_s", "told"),
-    [(1060.0, 0.0, 2), (1035.0, 0.0, 1), (1035.0, 7200.0, 2), (1008.0, 7200.0, 1)],
-)
-def test_a_further_effect_without_an_onset_of_its_own_adds_more_than_the_form_of_the_first(
-    odds: float, onset_s: float, told: int
-) -> None:
-    def entry(kind: str, where: str, since_s: float) -> SimpleNamespace:
-        return SimpleNamespace(
-            candidate=SimpleNamespace(kind=kind, where=where), shape=SimpleNamespace(onset_s=since_s)
-        )
-
-    first, further = entry("heat_source", "tank", 3600.0), entry("sensor", "T_heater_C", onset_s)
-
-    def fitted(log_odds: float, *entries: SimpleNamespace) -> Hypothesis:
-        return Hypothesis(entries, log_odds, 0.0, 0.0, 0.1, 0.0, fit=object())  # type: ignore[arg-type]
-
-    found = Found((fitted(odds, first, further), fitted(1000.0, first)), [], None, {})  # type: ignore[arg-type]
-    assert found.told is not None and len(found.told.entries) == told
 
 
 def test_the_error_of_form_follows_each_input_that_moves(brisk: Bench, brisk_healthy: Columns) -> None:

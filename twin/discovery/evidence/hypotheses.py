@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.discovery.effects.laws import CandidateLaw
-from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_SHARE, KINDS, UNLISTED, law_weight
+from twin.discovery.evidence.priors import CLAIM, FAULT, KINDS, UNLISTED, law_weight
 from twin.discovery.evidence.scan import logsumexp
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.scoring.search import Entry
@@ -78,31 +78,13 @@ class Found:
 
     @property
     def told(self) -> Hypothesis | None:
-        """Return the likeliest fitted hypothesis without effects that add less than `CLAIM` to its log odds.
-
-        An effect without an onset of its own, present all along, has to add as much as the form error of the others may
-        amount to besides: where they change how the rig moves, the twin is off by the same form.
-        """
+        """Return the likeliest fitted hypothesis without effects that add less than `CLAIM` to its log odds."""
         fits = [h for h in self.hypotheses if h.fit is not None]
         if not fits:
             return None
-        best = fits[0]
-        less = [CLAIM * max(len(best.entries) - len(h.entries), 0) + _form_of(h, best) for h in fits]
-        enough = [h for h, odds in zip(fits, less, strict=True) if h.odds >= best.odds - odds]
+        enough = [h for h in fits if h.odds >= fits[0].odds - CLAIM * max(len(fits[0].entries) - len(h.entries), 0)]
         fewest = min(len(h.entries) for h in enough)
         return next(h for h in enough if len(h.entries) == fewest)
-
-
-def _form_of(fewer: Hypothesis, best: Hypothesis) -> float:
-    """Return the log odds that the form error of `fewer` effects may amount to, in place of further ones of `best`.
-
-    It is 0 where `best` has none of `fewer`, or where a further one has an onset of its own.
-    """
-    known = {class_of(e) for e in fewer.entries}
-    further = [e for e in best.entries if class_of(e) not in known]
-    if not known < {class_of(e) for e in best.entries} or any(e.shape.onset_s > 0.0 for e in further):
-        return 0.0
-    return FORM_SHARE * max(fewer.odds, 0.0)
 
 
 def class_of(entry: Entry) -> Class:
