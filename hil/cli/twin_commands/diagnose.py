@@ -184,7 +184,8 @@ def command(
         require_writable(folder, DiagnosisFolderError, "give another --out, or --dry to write nothing")
         click.get_current_context().with_resource(held(folder, DiagnosisFolderError))
     found = _diagnosed(ready, diagnose_files, quiet=as_json)
-    if empirical and found.empirical is None and found.network is None and found.verdict != "adequate":
+    unlisted = found.verdict == "unexplained" or found.own_course is not None
+    if empirical and unlisted and found.empirical is None:
         raise TwinFileError(
             f"{subject.record}: no curve of any column predicts the unexplained error; there is none to adopt"
         )

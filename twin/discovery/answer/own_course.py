@@ -66,7 +66,7 @@ def own_course(case: AssessedFinding, curve: Empirical | None) -> OwnCourse | No
 
 
 def claimed(found: Diagnosis) -> Diagnosis:
-    """Return a diagnosis with its effect of an own course claimed, if it has one and explains the record by none."""
+    """Return a diagnosis with its effect of an own course claimed, if it has one and no law explains the record."""
     own = found.own_course
     if own is None or found.verdict != "unexplained":
         return found

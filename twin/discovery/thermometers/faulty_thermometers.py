@@ -155,7 +155,8 @@ def _together(errors: tuple[Effect, ...], same: tuple[Alternative, ...], left: D
         return left
     found = left.verdict != "adequate"
     verdict: Verdict = left.verdict if found else "effect found"
-    if any(e.kind == "unknown" for e in errors):
+    strange = any(e.kind == "unknown" for e in errors)
+    if strange:
         verdict = "unexplained"
     elif same and verdict == "effect found":
         verdict = "ambiguous"
@@ -170,6 +171,7 @@ def _together(errors: tuple[Effect, ...], same: tuple[Alternative, ...], left: D
         next_experiment=left.next_experiment if found else None,
         indistinguishable=(*same, *left.indistinguishable),
         empirical=None,
+        own_course=None if strange else left.own_course,
     )
 
 
