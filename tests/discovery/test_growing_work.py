@@ -86,3 +86,11 @@ def test_a_fit_that_begins_at_another_one_takes_over_its_derivatives(
     runs.clear()
     descend([Start(problem, end.v, none)])
     assert runs[0] == 1
+
+
+def test_derivatives_that_point_uphill_are_renewed_and_do_not_end_a_fit(problem: GrowthProblem) -> None:
+    (end,) = descend([Start(problem, problem.start())])
+    wrong = problem.fitted(end.v, end.readings)
+    vars(wrong)["slopes"] = -wrong.slopes  # a cached property
+    (again,) = descend([Start(problem, problem.start(), wrong)])
+    assert again.v == pytest.approx(end.v, rel=0.02, abs=0.02)

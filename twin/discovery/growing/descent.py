@@ -114,11 +114,17 @@ class _Way:
         self._look()
 
     def _choose(self, points: Array, readings: Array) -> None:
-        """Take the least damped of the steps that lower the squares, if any."""
+        """Take the least damped of the steps that lower the squares, if any.
+
+        Derivatives that no longer hold may point uphill. Of the steps along them only the most damped ones, which
+        hardly move, then lower the squares, by rounding. That is no end of a fit but a reason to renew the derivatives.
+        """
         for damping, point, there in zip(self._dampings, points, readings, strict=True):
             residual = self._whitened(there)
             new = self._total(point, residual)
             if new < self._cost:
+                if not self._fresh and damping > self._damping and self._cost - new < GAINED * new:
+                    break
                 self._move(damping, point, there, residual, new)
                 return
         if not self._fresh:
