@@ -25,7 +25,7 @@ UNITS = {"_kg_s": "kg/s", "_kW": "kW", "_W": "W", "_pct": "%"}
 POWERS = {"W": 1.0, "kW": 1000.0}
 """W."""
 QUANTITIES = ("heat", "heat_rejected", "fan_power", "evaporation", "mass_flow", "delivered")
-METERED = ("heat_source", "tower_cell", "flow", "actuator")
+METERED = ("heat_source", "exchanger", "tower_cell", "flow", "actuator")
 """Kinds of elements that export a quantity."""
 USUAL_K = 0.05
 """Standard deviation of a usual thermometer, K: the default of `sensor`."""

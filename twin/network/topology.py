@@ -8,6 +8,7 @@ from twin.elements import Element
 from twin.elements.actuator import Actuator
 from twin.elements.bypass import Bypass
 from twin.elements.empirical_heat import EmpiricalHeat
+from twin.elements.exchanger import Exchanger
 from twin.elements.flow import Flow
 from twin.elements.heat_source import HeatSource
 from twin.elements.law import LawActuator, LawFlow, LawFluid, LawHeat, LawReading
@@ -100,6 +101,15 @@ def _on_a_flow_path(elements: tuple[Element, ...], flows: list[Flow], fail: Call
                 fail(e.name, f"the form {e.form!r} needs water, but no flow path names {e.node!r}")
             if any(e.node in flow.film for flow in flows):
                 fail(e.name, f"the form {e.form!r} has a film of its own; take {e.node!r} out of the film of its flow")
+        if isinstance(e, Exchanger):
+            for node in (e.a, e.b):
+                if not any(node in flow.path for flow in flows):
+                    fail(
+                        e.name,
+                        f"an exchanger needs water on both sides, but no flow path names {node!r}; use a conduction",
+                    )
+                if any(node in flow.film for flow in flows):
+                    fail(e.name, f"an exchanger has films of its own; take {node!r} out of the film of its flow")
 
 
 def _all_reachable(elements: tuple[Element, ...], nodes: list[str], fail: Callable[[str, str], object]) -> None:

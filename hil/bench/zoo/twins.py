@@ -16,8 +16,6 @@ WIDTH = 8.0
 """Bounds of a parameter over and under its nominal value, as a factor."""
 STILL_SHARE = 0.05
 """Share of a radiator's conductance that remains with the fan at rest."""
-LEAST_K_PER_W = 2.0e-3
-"""Least resistance of a conduction: the lower bound of the element."""
 SHARE_ON_METAL = 0.8
 """First guess of the water's share of the way to equilibrium at a node whose thermometer sits on the metal."""
 
@@ -88,16 +86,14 @@ def sheet_twin(sheet: Mapping[str, Any], *, fan_varies: bool, pump_varies: bool)
     if sheet["exchanger"] is not None:
         link = sheet["exchanger"]
         elements["exchanger"] = {
-            "kind": "conduction",
+            "kind": "exchanger",
             "from": link["hot"],
             "to": link["cold"],
-            "resistance": {
-                "value": max(link["K_per_W"], LEAST_K_PER_W),
-                "lower": LEAST_K_PER_W,
-                "upper": WIDTH * link["K_per_W"],
-            },
+            "UA_100": positive(1.0 / link["K_per_W"]),
+            "film_from": {"value": 0.5, "lower": 0.0, "upper": 1.0},
         }
-        free.append("exchanger.resistance")
+        free.append("exchanger.UA_100")
+        free += ["exchanger.film_from"] if pump_varies else []
     for column, nodes in sheet["heaters"].items():
         for node in nodes:
             elements[f"power_of_{node}"] = {
