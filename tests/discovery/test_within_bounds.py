@@ -16,6 +16,7 @@ from twin.discovery.engine import diagnose
 from twin.discovery.records.grid import on_grid
 from twin.elements.candidates import Candidate
 from twin.network import Network
+from twin.twinfile import parse
 
 LOSS = "tank_loss.hA"
 
@@ -63,3 +64,13 @@ def test_a_change_smaller_than_a_typical_size_is_told(bench: Bench) -> None:
     found = diagnose(small.network, record, healthy)
     assert [(e.kind, e.where) for e in found.effects] == [("heat_loss", "tank")]
     assert found.effects[0].value == pytest.approx(0.4, rel=0.1)
+
+
+def test_a_volume_too_small_for_a_mass_is_offered_none() -> None:
+    small = parse(
+        'format = 1\nname = "foil"\n[inputs]\nT_ambient_C = { nominal = 20.0 }\n[elements]\n'
+        'foil = { kind = "node", capacitance = 5.0 }\nloss = { kind = "ambient_loss", node = "foil", hA = 0.1 }\n'
+        'T_foil_C = { kind = "sensor", node = "foil", columns = ["T_foil_C"] }\n'
+    )
+    assert all(c.lower < c.upper for c in catalogue(small))
+    assert not any(c.begins for c in catalogue(small))

@@ -25,7 +25,7 @@ from typing import Literal
 
 from twin.kernel.delays import NEVER, SLOTS, delay_lines
 from twin.kernel.functions import ARRIVED, EXP, LOG, PIECES, SUBSTEPS
-from twin.kernel.integrators import DECAYED, PAIRS, Integrator
+from twin.kernel.integrators import DECAYED, PAIRS, Integrator, LinearlyImplicit
 from twin.kernel.source_text import NAME, KernelText, indent, renamed
 from twin.network import Network
 from twin.network.affine import lane_free_call, names_in
@@ -48,7 +48,12 @@ MODES: tuple[Mode, ...] = ("cost", "trace")
 
 
 def kernel_source(
-    network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int = LANES, same_flow: bool = True
+    network: Network,
+    mode: Mode,
+    lane_ids: tuple[str, ...],
+    lanes: int = LANES,
+    same_flow: bool = True,
+    stiff: bool = False,
 ) -> str:
     """Return the source of one kernel.
 
@@ -64,8 +69,10 @@ def kernel_source(
         Particles in a block.
     same_flow
         True if the same volume has been pushed through the delay lines of all lanes before the first sample.
+    stiff
+        True integrates by the linearly implicit method, whose substeps do not grow with the fastest rate.
     """
-    return KernelGenerator(network, mode, lane_ids, lanes, same_flow).source()
+    return KernelGenerator(network, mode, lane_ids, lanes, same_flow, stiff).source()
 
 
 class KernelGenerator:
@@ -73,7 +80,9 @@ class KernelGenerator:
     substeps.
     """
 
-    def __init__(self, network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int, same_flow: bool) -> None:
+    def __init__(
+        self, network: Network, mode: Mode, lane_ids: tuple[str, ...], lanes: int, same_flow: bool, stiff: bool = False
+    ) -> None:
         self.network, self.mode, self.lanes = network, mode, lanes
         self.system = s = NetworkEquations(network, lane_ids)
         self.k, self.m = len(s.states), len(s.readings)
@@ -91,7 +100,7 @@ class KernelGenerator:
             self.text.row(s.stored(name, memory)[0])
         same_flow = lanes == 1 or (same_flow and self._pushed_equally())
         self.delays = delay_lines(s, self.text, same_flow) if s.delays else None
-        self.integrator = Integrator(s, self.text, self.delays)
+        self.integrator = (LinearlyImplicit if stiff else Integrator)(s, self.text, self.delays)
         self._levels()
 
     def _pushed_equally(self) -> bool:
@@ -242,14 +251,11 @@ class KernelGenerator:
             slow += ["norm_of_all = 0.0", "if fast > 0:", *indent(self.text.loop(body))]
             slow += [f"    for l in range({lanes}):", f"        norm_of_all = max(norm_of_all, W[{norm} + l])"]
         slow += ["if fast > 0:", f"    for l in range({lanes}):", f"        limit = max(limit, W[{at} + l])"]
-        needed = "dt * limit * PER_STEP"
-        if self.integrator.stable > self.integrator.limit:
-            needed = "substeps(dt * limit, dt * norm_of_all)"
         stepwise = [
             # Beyond LONGEST / limit the inputs have been constant for so many time constants that more of
             # the same changes nothing; without the cut a gap of months would take minutes.
             "dt = min(dt, LONGEST / limit)",
-            f"steps = max(int(np.ceil({needed} - 1e-9)), 1)",
+            f"steps = max(int(np.ceil({self.integrator.steps} - 1e-9)), 1)",
             "h = dt / steps",
         ]
         on_step = self.integrator.refresh()
@@ -257,6 +263,7 @@ class KernelGenerator:
             on_step = [*self.delays.refresh(), *on_step]
         on_step += self.coefficients("slow", late=True, lane=False)
         on_step += self.text.outlined("renew_late", self.coefficients("slow", late=True, lane=True))
+        on_step += self.integrator.factorise()
         fast = [*self.shared("fast"), *self.coefficients("fast", late=True, lane=False)]
         body = [x for late in (False, True) for x in self.coefficients("fast", late=late, lane=True)]
         fast += self.text.outlined("renew_offsets", body)

@@ -9,12 +9,17 @@ every call, unless the kernel was asked to remember it; its states are then its 
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
 from twin.kernel.delays import delay_layout
+from twin.kernel.generated_code import define_functions
 from twin.network import Array, Network, TwinFileError
-from twin.network.assembly import NetworkEquations
+from twin.network.assembly import NetworkEquations, python_source
 
+AT_C = 40.0
+"""Temperature, degC, at which what is not affine in the temperatures is linearised."""
 COMMANDS = 256
 """Number of values of a command that are remembered for its dead time."""
 
@@ -49,7 +54,7 @@ class StateLayout:
         self.network = network
         own, inner = NetworkEquations(network, held), NetworkEquations(network, free)
         self.nodes = len(network.nodes)
-        self.states = inner.states
+        self.states, self._own_states = inner.states, len(own.states)
         names, wanted = _names(own), _names(inner)
         self._width = len(names)
         take = np.array([names.index(n) if n in names else -1 for n in wanted])
@@ -65,6 +70,17 @@ class StateLayout:
         self._longest_s = max((p.upper if p.status == "tunable" else p.value for p in times), default=0.0)
         self._commands = COMMANDS * (1 + len(columns)) if columns else 0
         self.size = self._width + self._lines + self._commands
+
+    @cached_property
+    def fastest(self) -> float:
+        """Return the spectral radius of the network, 1/s, with its own parameters and inputs at their upper ends."""
+        network, count = self.network, self._own_states
+        rhs = define_functions(python_source(network), f"<right side of {network.name}>")["rhs"]
+        inputs = np.array([s.upper if np.isfinite(s.upper) else s.nominal for s in network.inputs.values()])
+        at = np.full(count, AT_C)
+        rest = np.array(rhs(at, inputs, network.values))
+        slopes = np.column_stack([np.array(rhs(at + one, inputs, network.values)) - rest for one in np.eye(count)])
+        return float(np.abs(np.linalg.eigvals(slopes)).max()) if np.isfinite(slopes).all() else 0.0
 
     def split(self, state: Array) -> tuple[Array, Array | None, Array | None]:
         """Return start values (P, inner width), NaN for what is at rest, then delay lines and commands, or None each.

@@ -290,11 +290,11 @@ class NetworkEquations:
         for j, (form, rest) in enumerate(self.slopes):
             text = total(form)
             if rest != ZERO:
-                text = f"{text} + 2.0 * ({self._rest_bound(j)})"
+                text = f"{text} + 2.0 * ({self.rest_bound(j)})"
             rows.append(text)
         return steps, tuple(dict.fromkeys(rows))
 
-    def _rest_bound(self, j: int) -> str:
+    def rest_bound(self, j: int) -> str:
         """Return the declared bound on the dependence of what is not affine in state j's rate on the state, 1/s."""
         if j >= len(self.network.nodes):
             return self.rates[j]

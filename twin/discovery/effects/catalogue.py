@@ -33,7 +33,8 @@ def catalogue(network: Network) -> tuple[Candidate, ...]:
     for kind in KINDS.values():
         for candidate in kind.missing_candidates(sites):
             renamed = with_free_names(candidate, sites.elements)
-            found.setdefault(renamed.id, renamed)
+            if renamed.lower < renamed.upper:  # a small volume holds no mass that would show
+                found.setdefault(renamed.id, renamed)
     for element in network.elements:
         for candidate in element.changed_candidates(sites):
             free = {name for name in candidate.changes if not _bound_to_another(network, name)}
