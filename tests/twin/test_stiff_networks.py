@@ -1,4 +1,4 @@
-"""Networks whose fastest volume is far below a sample interval: the linearly implicit method against exact solutions."""
+"""The linearly implicit method for networks with volumes that are fast against a sample interval."""
 
 from __future__ import annotations
 
@@ -67,9 +67,7 @@ def test_a_linear_network_is_simulated_as_exactly_as_promised() -> None:
 
 
 @pytest.mark.parametrize("text", [THIN_WALL + CONVECTION, THIN_WALL + PIPE, LATE], ids=["power law", "pipe", "lag"])
-def test_other_networks_are_simulated_as_by_many_small_steps(
-    text: str, explicit: Callable[[Network], Array]
-) -> None:
+def test_other_networks_are_simulated_as_by_many_small_steps(text: str, explicit: Callable[[Network], Array]) -> None:
     network = parse(text)
     off = simulate(network, *steps(), WARM) - explicit(network)
     assert 0.0 < np.abs(off).max() < 2.2e-4 * 34.0

@@ -243,9 +243,9 @@ class KernelGenerator:
         if self.integrator.paired:
             slow += [f"pairs = {PAIRS[0][1]}"]
             slow += [f"if fast{n} > 0: pairs = {PAIRS[n + 1][1]}" for n in range(len(PAIRS) - 1)]
-        if self.integrator.stable > self.integrator.limit:
+        if self.integrator.bounds is not None:
             norm = self.text.row("norm") * lanes
-            steps, sums = s.norm
+            steps, sums = self.integrator.bounds
             body = [f"{name} = {text}" for name, text in steps]
             body += [f"norm = max({', '.join(['0.0', *sums])})", f"W[{norm} + l] = norm"]
             slow += ["norm_of_all = 0.0", "if fast > 0:", *indent(self.text.loop(body))]

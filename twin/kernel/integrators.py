@@ -1,4 +1,5 @@
-"""Source text of one substep: a Taylor series for networks that are affine in the temperatures, else Runge-Kutta.
+"""Source text of one substep: a Taylor series for networks that are affine in the temperatures, else Runge-Kutta; a
+linearly implicit method where samples are far apart against the fastest volume.
 
 The inputs are constant in a substep, so x' = A x + b(t) with b constant or, behind pipes, quadratic in time. The terms
 
@@ -10,6 +11,7 @@ its terms beyond the third in a loop, in pairs, and as many as the stiffest lane
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 
 from twin.kernel.delays import DelayLines
@@ -24,6 +26,8 @@ STABLE, DECAYED = 2.0, 24.0
 IMPLICIT_STEPS = 16.0
 """Substeps of the linearly implicit method: of a mode of any speed, at most 2.2e-4 of a jump is left at the end of the
 interval beyond the exact share (maximum over z < 0 of |R(z / N)^N - exp z|)."""
+REST_LIMIT = 0.5
+"""Largest substep * (declared bound on the rate of what is not affine), which J holds by its bound alone."""
 GAMMA = 1.0 - 0.5**0.5
 """Coefficient with which ROS2 is L-stable and its errors are least."""
 PAIRS = ((0.3, 1), (0.67, 2), (1.14, 3), (1.67, 4))
@@ -64,9 +68,14 @@ class Integrator:
                 text.row(f"m{j}")
 
     @property
+    def bounds(self) -> tuple[tuple[tuple[str, str], ...], tuple[str, ...]] | None:
+        """Return names with expressions, and in these rates whose largest, `norm_of_all`, bounds steps; or None."""
+        return self.system.norm if self.stable > self.limit else None
+
+    @property
     def steps(self) -> str:
         """Return the expression of the substeps that an interval needs, not rounded."""
-        return "dt * limit * PER_STEP" if self.stable <= self.limit else "substeps(dt * limit, dt * norm_of_all)"
+        return "dt * limit * PER_STEP" if self.bounds is None else "substeps(dt * limit, dt * norm_of_all)"
 
     def factorise(self) -> list[str]:
         """Return the lines that prepare a step after all coefficients are renewed; none for explicit methods."""
@@ -263,9 +272,10 @@ class LinearlyImplicit(Integrator):
 
         (I - gamma h J) k1 = f(x),   (I - gamma h J) k2 = f(x + h k1) - 2 k1,   n = x + h (3/2 k1 + 1/2 k2)
 
-    J is the matrix of what is affine in the temperatures, less the elements' declared bounds on the rest. It is factorised
-    when a coefficient in it changes, without pivots and with the fill-in that the network's structure makes. The substeps
-    of an interval are always `IMPLICIT_STEPS`, so that readings are smooth in the parameters.
+    J is the matrix of what is affine in the temperatures, less the elements' declared bounds on the rest. It is
+    factorised when a coefficient in it changes, without pivots and with the fill-in that the network's structure makes.
+    The substeps of an interval are always `IMPLICIT_STEPS`, so that readings are smooth in the parameters, or as many
+    as the rest asks for.
     """
 
     def __init__(self, system: NetworkEquations, text: KernelText, delays: DelayLines | None) -> None:
@@ -274,9 +284,17 @@ class LinearlyImplicit(Integrator):
         self.stable = self.limit
 
     @property
+    def bounds(self) -> tuple[tuple[tuple[str, str], ...], tuple[str, ...]] | None:
+        """Return the declared bounds on the rates of what is not affine, or None."""
+        rest = (self.system.rest_bound(j) for j, (_, rest) in enumerate(self.system.slopes) if rest != ZERO)
+        return None if self.system.linear else ((), tuple(dict.fromkeys(rest)))
+
+    @property
     def steps(self) -> str:
         """Return the expression of the substeps that an interval needs, not rounded."""
-        return repr(IMPLICIT_STEPS)
+        if self.bounds is None:
+            return repr(IMPLICIT_STEPS)
+        return f"max({IMPLICIT_STEPS}, dt * norm_of_all * {1.0 / REST_LIMIT!r})"
 
     def factorise(self) -> list[str]:
         """Return the lines that factorise I - gamma h J, into rows of their own."""
@@ -284,8 +302,7 @@ class LinearlyImplicit(Integrator):
         k = self.text
         names = {(i, j): f"lu{i}_{j}" for i, j in entries}
         lines += [
-            f"{names[i, j]} = {'1.0 - ' if i == j else '-'}gh * ({text})"
-            for (i, j), text in sorted(entries.items())
+            f"{names[i, j]} = {'1.0 - ' if i == j else '-'}gh * ({text})" for (i, j), text in sorted(entries.items())
         ]
         self._order, self._filled = _elimination(self.count, set(entries))
         done: set[int] = set()
@@ -346,9 +363,9 @@ class LinearlyImplicit(Integrator):
             later = (i for i in range(self.count) if i not in done and (i, p) in self._filled)
             lines += [f"{name}{i} = {name}{i} - lu{i}_{p} * {name}{p}" for i in later]
         for p in reversed(self._order):
-            later = [j for j in range(self.count) if j not in done and (p, j) in self._filled]
+            beyond = (j for j in range(self.count) if j not in done and (p, j) in self._filled)
+            known = "".join(f" - lu{p}_{j} * {name}{j}" for j in beyond)
             done.discard(p)
-            known = "".join(f" - lu{p}_{j} * {name}{j}" for j in later)
             lines.append(f"{name}{p} = ({name}{p}{known}) * inverse{p}")
         return lines
 
@@ -363,15 +380,12 @@ def _derivative(form: AffineForm, known: Mapping[str, str]) -> str:
 
 
 def _elimination(count: int, entries: set[tuple[int, int]]) -> tuple[list[int], set[tuple[int, int]]]:
-    """Return an order of elimination with little fill-in (Markowitz), and the entries (row, column) that it fills."""
+    """Return an order of elimination with little fill-in (Markowitz), and the entries (row, column) with it."""
     filled, left, order = set(entries), set(range(count)), list[int]()
     while left:
-
-        def work(p: int) -> tuple[int, int]:
-            rows = sum((i, p) in filled for i in left if i != p)
-            return rows * sum((p, j) in filled for j in left if j != p), p
-
-        p = min(left, key=work)
+        inner = [(i, j) for i, j in filled if i != j and i in left and j in left]
+        rows, columns = Counter(i for i, _ in inner), Counter(j for _, j in inner)
+        _, p = min((rows[k] * columns[k], k) for k in left)
         left.discard(p)
         order.append(p)
         filled |= {(i, j) for i in left for j in left if (i, p) in filled and (p, j) in filled}

@@ -43,7 +43,7 @@ class Kernel:
     a sample to the next; NaN in an input holds the last good value (the network's nominal before the first).
 
     Where samples are further apart than `STIFF` of the shortest time constants, a linearly implicit method takes the
-    place of the explicit one (`integrators`). It is off by at most 2.2e-4 of a jump at the end of the sample of the jump.
+    place of the explicit one (`integrators`). It is off by at most 2.2e-4 of a jump at the end of the jump's interval.
 
     A state is (k,) or (P, k), the node temperatures in degC at the first sample with all memory at rest; or (size,) or
     (P, size), the full state that an earlier call returned. Its first k entries are the node temperatures. For a

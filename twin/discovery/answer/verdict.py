@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.discovery.answer.acceptance import accepted, adequate
+from twin.discovery.answer.acceptance import accepted, adequate, of_form
 from twin.discovery.answer.assessed_finding import AssessedFinding
 from twin.discovery.answer.blind_spots import further_group_members, practical_ambiguities, structural_ambiguities
 from twin.discovery.answer.isolation import (
@@ -49,6 +49,10 @@ _BEYOND = (
 _TOO_LITTLE = (
     "no effect is likely, and yet the re-tuned twin is off by ten times as much as in health, or by as much as a "
     "constant; check the units of the record's columns, and whether twin and healthy record are of this rig"
+)
+_FORM = (
+    "what no effect explains acts all along, and is less than a tenth of what the twin's own law has at its place: no "
+    "more than such a law may be in error itself"
 )
 _REFUTED = "the likeliest effect is not claimed: what it predicts for the held-out segment does not hold there"
 _USUAL = (
@@ -130,6 +134,8 @@ def conclude(case: AssessedFinding, notes: tuple[str, ...]) -> Diagnosis:
 def _fine(case: AssessedFinding) -> Answer:
     if case.beyond:
         return Answer("adequate", notes=(_BEYOND,))
+    if case.finding.unlisted >= case.finding.claim and not case.usual and of_form(case):
+        return Answer("adequate", notes=(_FORM,))
     loud = case.usual and max(case.finding.odds, case.finding.unlisted) >= case.finding.claim
     return Answer("adequate", notes=(_USUAL,) if loud else ())
 

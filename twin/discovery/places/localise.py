@@ -117,6 +117,11 @@ def describe(course: Course, drivers: dict[str, Array], step_h: float) -> dict[s
     return out
 
 
+def acts_all_along(course: Course) -> bool:
+    """Return True if a course has no onset."""
+    return _onset(course.mean) == 0
+
+
 def _onset(mean: Array) -> int:
     """Return the first block of the second of two segments that differ most in mean square."""
     n = len(mean)

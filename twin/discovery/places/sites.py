@@ -17,6 +17,7 @@ from twin.discovery.diagnosis import Course, Effect
 from twin.discovery.effects.laws import CandidateLaw, circuit_of
 from twin.discovery.records.grid import Grid
 from twin.discovery.scoring.score_tests import ScoreTest
+from twin.elements.candidates import Candidate
 from twin.elements.empirical_heat import MOST_HEAT_W
 from twin.network import Array, Network
 
@@ -40,6 +41,7 @@ class Site:
     the diagnosis's vocabulary, and the sizes that it can hold.
 
     `counts` is the share of its evidence that counts, so that a site of higher prior wins if it is nearly as good.
+    `present` is what the twin's own element has of the quantity, such as its conductance; 0 where no element has any.
     """
 
     vector: Array
@@ -50,6 +52,7 @@ class Site:
     where: str
     counts: float = 1.0
     holds: tuple[float, float] = (-math.inf, math.inf)
+    present: float = 0.0
 
 
 def sites_of(network: Network, score_test: ScoreTest, laws: Sequence[CandidateLaw]) -> dict[str, Site]:
@@ -81,8 +84,15 @@ def sites_of(network: Network, score_test: ScoreTest, laws: Sequence[CandidateLa
             counts = ROOM if kind[1] == "sensor" else 1.0
             # The linear estimate of a large change of the flow overshoots: readings go with its inverse.
             vector, holds = score_test.vector(law), anything if kind[1] == "transport" else (c.lower, c.upper)
-            out[kind[0]] = Site(vector, c.typical, c.unit, kind[1], c.kind, c.where, counts, holds)
+            present = _present(network, c) if kind[1] != "sensor" else 0.0
+            out[kind[0]] = Site(vector, c.typical, c.unit, kind[1], c.kind, c.where, counts, holds, present)
     return out
+
+
+def _present(network: Network, candidate: Candidate) -> float:
+    """Return the present value of the one parameter that a candidate changes, in the candidate's unit."""
+    ((name, weight),) = candidate.changes.items()
+    return abs(network.parameters[name].value / weight)
 
 
 def heaters_of(network: Network, score_test: ScoreTest, laws: Sequence[CandidateLaw]) -> dict[str, Site]:
