@@ -54,7 +54,7 @@ class StateLayout:
         self.network = network
         own, inner = NetworkEquations(network, held), NetworkEquations(network, free)
         self.nodes = len(network.nodes)
-        self.states, self._own_states = inner.states, len(own.states)
+        self.states = inner.states
         names, wanted = _names(own), _names(inner)
         self._width = len(names)
         take = np.array([names.index(n) if n in names else -1 for n in wanted])
@@ -74,12 +74,13 @@ class StateLayout:
     @cached_property
     def fastest(self) -> float:
         """Return the spectral radius of the network, 1/s, with its own parameters and inputs at their upper ends."""
-        network, count = self.network, self._own_states
+        network = self.network
         rhs = define_functions(python_source(network), f"<right side of {network.name}>")["rhs"]
         inputs = np.array([s.upper if np.isfinite(s.upper) else s.nominal for s in network.inputs.values()])
-        at = np.full(count, AT_C)
+        at = np.full(len(NetworkEquations(network, network.ids).states), AT_C)
         rest = np.array(rhs(at, inputs, network.values))
-        slopes = np.column_stack([np.array(rhs(at + one, inputs, network.values)) - rest for one in np.eye(count)])
+        ones = np.eye(len(rest), len(at))
+        slopes = np.column_stack([np.array(rhs(at + one, inputs, network.values)) - rest for one in ones])
         return float(np.abs(np.linalg.eigvals(slopes)).max()) if np.isfinite(slopes).all() else 0.0
 
     def split(self, state: Array) -> tuple[Array, Array | None, Array | None]:
