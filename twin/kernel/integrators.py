@@ -26,8 +26,12 @@ STABLE, DECAYED = 2.0, 24.0
 IMPLICIT_STEPS = 16.0
 """Substeps of the linearly implicit method: of a mode of any speed, at most 2.2e-4 of a jump is left at the end of the
 interval beyond the exact share (maximum over z < 0 of |R(z / N)^N - exp z|)."""
-REST_LIMIT = 0.5
-"""Largest substep * (declared bound on the rate of what is not affine), which J holds by its bound alone."""
+REST_LIMIT = 2.0
+"""Largest substep * (declared bound on the rate of what is not affine). The first stage then overshoots what a linear
+law would end at by at most a quarter, 2 / (1 + 2 gamma); without a limit it is by 1 / gamma, too far for a fourth
+power."""
+APART_K = 0.01
+"""Difference of temperature, K, over which a slope is taken: small against those over which a law bends."""
 GAMMA = 1.0 - 0.5**0.5
 """Coefficient with which ROS2 is L-stable and its errors are least."""
 PAIRS = ((0.3, 1), (0.67, 2), (1.14, 3), (1.67, 4))
@@ -272,10 +276,10 @@ class LinearlyImplicit(Integrator):
 
         (I - gamma h J) k1 = f(x),   (I - gamma h J) k2 = f(x + h k1) - 2 k1,   n = x + h (3/2 k1 + 1/2 k2)
 
-    J is the matrix of what is affine in the temperatures, less the elements' declared bounds on the rest. It is
-    factorised when a coefficient in it changes, without pivots and with the fill-in that the network's structure makes.
-    The substeps of an interval are always `IMPLICIT_STEPS`, so that readings are smooth in the parameters, or as many
-    as the rest asks for.
+    J is the matrix of what is affine in the temperatures; of the rest it has the slope of each state's rate by the
+    state itself. It is factorised without pivots, with the fill-in that the network's structure makes: in each step, or
+    for affine networks when a coefficient in it changes. The substeps of an interval are `IMPLICIT_STEPS`, so that
+    readings are smooth in the parameters, or more where what is not affine is fast itself.
     """
 
     def __init__(self, system: NetworkEquations, text: KernelText, delays: DelayLines | None) -> None:
@@ -297,6 +301,11 @@ class LinearlyImplicit(Integrator):
         return f"max({IMPLICIT_STEPS}, dt * norm_of_all * {1.0 / REST_LIMIT!r})"
 
     def factorise(self) -> list[str]:
+        """Return the lines that prepare a step: the factors of an affine network."""
+        lines = [f"gh = {GAMMA!r} * h"]
+        return [*lines, *self.text.outlined("factorise", self._factors())] if self.system.linear else lines
+
+    def _factors(self) -> list[str]:
         """Return the lines that factorise I - gamma h J, into rows of their own."""
         lines, entries = self._matrix()
         k = self.text
@@ -319,14 +328,15 @@ class LinearlyImplicit(Integrator):
                     names[i, j] = f"lu{i}_{j}"
                     lines.append(f"lu{i}_{j} = {before}lu{i}_{p} * {names[p, j]}")
             lines += [f"{k.at(f'lu{p}_{j}')} = {names[p, j]}" for j in row]
-        return [f"gh = {GAMMA!r} * h", *k.outlined("factorise", lines)]
+        return lines
 
     def substep(self) -> list[str]:
         """Return the lines, loops over lanes included, that take the state from the start x to the end n of a step
         of h.
         """
         k = range(self.count)
-        lines = self.delays.outlets() if self.delays else []
+        lines = [] if self.system.linear else self._factors()
+        lines += self.delays.outlets() if self.delays else []
         lines += self._rates(self._names("x"), "Ds", "a")
         lines += [f"ra{j} = k{j}a" for j in k] + self._solved("ra")
         lines += [f"y{j}b = x{j} + h * ra{j}" for j in k]
@@ -338,7 +348,7 @@ class LinearlyImplicit(Integrator):
 
     def _matrix(self) -> tuple[list[str], dict[tuple[int, int], str]]:
         """Return lines, and the entries of J that are not always 0, with all on the diagonal."""
-        system, lines = self.system, list[str]()
+        system, lines = self.system, self._own_slopes()
         entries: dict[tuple[int, int], str] = {}
         for j in range(self.count):
             known = {f"x{j}": ONE}
@@ -350,10 +360,27 @@ class LinearlyImplicit(Integrator):
             for i, (form, rest) in enumerate(system.slopes):
                 text = _derivative(form, known)
                 if i == j and rest != ZERO:
-                    text = add(text, f"-({system.rest_bound(j)})")
+                    text = add(text, f"min(own{j}, 0.0)")
                 if text != ZERO or i == j:
                     entries[i, j] = text
         return lines, entries
+
+    def _own_slopes(self) -> list[str]:
+        """Return the lines with the derivative of what is not affine in each state's rate by the state itself."""
+        rest = {j: text for j, (_, text) in enumerate(self.system.slopes) if text != ZERO}
+        lines = list[str]()
+        for j in (None, *rest) if rest else ():
+            stage = "at_x" if j is None else f"at_{j}"
+            names = {f"x{k}": f"(x{k} + {APART_K})" if k == j else f"x{k}" for k in range(self.count)}
+            names |= {f"D{p}": ZERO for p in range(len(self.system.delays))}
+            staged = {name: f"{name}_{stage}" for name in self.system.nonaffine_locals}
+            known = {**names, **staged}
+            lines += [f"{staged[n]} = {renamed(t, known)}" for n, t in self.system.nonaffine_locals.items()]
+            if j is None:
+                lines += [f"rest{k} = {renamed(text, known)}" for k, text in rest.items()]
+            else:
+                lines.append(f"own{j} = ({renamed(rest[j], known)} - rest{j}) * {1.0 / APART_K!r}")
+        return lines
 
     def _solved(self, name: str) -> list[str]:
         """Return the lines that solve the factorised system for the right side in the names `name` + index."""
