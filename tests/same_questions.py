@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from twin.discovery import engine
+from twin.discovery.evidence import part
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.healthy.health import Health
 from twin.network import Network
@@ -30,6 +31,8 @@ def remember(patch: pytest.MonkeyPatch) -> None:
         return healths[key]
 
     patch.setattr(Health, "of", of)
+    # Files of tests are side by side already: fits of one search beside them would only wait for each other.
+    patch.setattr(part, "SIDE_BY_SIDE", 1)
     from hil.diagnosis import session
 
     patch.setattr(session, "diagnose", _once(session.diagnose))
