@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import logging
 import os
 import signal
@@ -69,7 +70,8 @@ def _process_as_before() -> Iterator[None]:
 def _same_question_is_searched_once() -> Iterator[None]:
     """Search once for what commands ask of the same twin, record and healthy record, and learn once from the latter.
 
-    Both depend on nothing else, and their results are frozen. Tests of the search itself call it directly.
+    Both depend on nothing else, and their results are frozen, as are pictures of the same curves. Tests of the search
+    and of the figures themselves call them directly.
     """
     with pytest.MonkeyPatch.context() as patch:
         same_questions.remember(patch)
@@ -94,6 +96,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the slow tests and begin with their files."""
     durations.mark_and_order(items, durations.read())
+
+
+def pytest_collection_finish() -> None:
+    """Leave modules and collected tests out of every later garbage collection, and collect less often."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, *gc.get_threshold()[1:])
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:

@@ -1,4 +1,4 @@
-"""Answers to questions that several tests ask: learning from a healthy record, and the diagnosis of a command.
+"""Answers to questions that several tests ask: learning from a healthy record, diagnosis by a command, pictures.
 
 Records are told by their content, since each command reads its files anew.
 """
@@ -6,12 +6,14 @@ Records are told by their content, since each command reads its files anew.
 from __future__ import annotations
 
 import hashlib
+import pickle
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from twin.discovery import engine
+from twin.discovery.evidence import part
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.healthy.health import Health
 from twin.network import Network
@@ -29,9 +31,17 @@ def remember(patch: pytest.MonkeyPatch) -> None:
         return healths[key]
 
     patch.setattr(Health, "of", of)
+    # Files of tests are side by side already: fits of one search beside them would only wait for each other.
+    patch.setattr(part, "SIDE_BY_SIDE", 1)
     from hil.diagnosis import session
 
     patch.setattr(session, "diagnose", _once(session.diagnose))
+    from hil.diagnosis.page import document
+    from hil.explain import page as explanation
+    from hil.report import page as report
+
+    for module, shown in ((report, lambda curves: curves), (document, _shown), (explanation, _rounds)):
+        patch.setattr(module, "pictures", _drawn_once(module.pictures, shown))
 
 
 def _once(search: Callable[..., Any]) -> Callable[..., Any]:
@@ -54,6 +64,29 @@ def _once(search: Callable[..., Any]) -> Callable[..., Any]:
         return found[key]
 
     return diagnose
+
+
+def _drawn_once(draw: Callable[[Any], Any], told: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    drawn: dict[bytes, Any] = {}
+
+    def pictures(of: Any) -> Any:
+        key = hashlib.sha256(pickle.dumps(told(of))).digest()
+        if key not in drawn:
+            drawn[key] = draw(of)
+        return drawn[key]
+
+    return pictures
+
+
+def _shown(findings: Any) -> Any:
+    """Return what pictures of a diagnosis may show: all but the names of its files and the time that it took."""
+    named = {"provenance", "record", "seconds"}
+    return {name: value for name, value in findings.document.items() if name not in named}, findings.curves
+
+
+def _rounds(explanation: Any) -> Any:
+    """Return what pictures of an explanation show of its rounds."""
+    return [(one.number, one.verdict, one.beliefs, one.ran and one.ran.steps) for one in explanation.rounds]
 
 
 def digest(*of: object) -> bytes:

@@ -120,7 +120,7 @@ def main() -> None:
     _require_platform()
     from hil.cli.options import OWN_PROCESS
     from hil.errors import explained, warn_of_little_memory
-    from hil.files import accept_any_name
+    from hil.files import accept_any_name, spare_pandas
 
     if (
         sys.argv[1:2] in (["run"], ["resume"], ["test"])
@@ -130,6 +130,7 @@ def main() -> None:
         # is imported, and the run would heat.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     accept_any_name()
+    spare_pandas()
     warn_of_little_memory()
     with explained():
         sys.exit(group.main(standalone_mode=True, obj=OWN_PROCESS))

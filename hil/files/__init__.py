@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from hil.files.arrow import look_for_pandas, spare_pandas
     from hil.files.atomic import replacing, require_writable
     from hil.files.estimates import estimate_text
     from hil.files.folder_check import read_json, require_plain, require_unshared
@@ -48,6 +49,7 @@ __all__ = [
     "is_blank",
     "joined",
     "longest_name",
+    "look_for_pandas",
     "on_terminal",
     "parse_json",
     "plain",
@@ -66,6 +68,7 @@ __all__ = [
     "require_unshared",
     "require_writable",
     "safe_file_name",
+    "spare_pandas",
     "table",
     "take_lock",
     "utf8_path",
@@ -74,6 +77,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        "arrow": ("look_for_pandas", "spare_pandas"),
         "atomic": ("replacing", "require_writable"),
         "estimates": ("estimate_text",),
         "folder_check": (

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drivers.rig_file import refuse_irregular
+from hil.files.arrow import look_for_pandas
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -137,6 +138,7 @@ def read_parquet(path: Path, source: Any, failure: Failure) -> pa.Table:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    look_for_pandas()
     file = pq.ParquetFile(source)
     about = file.metadata
     require_columns(path, about.num_columns, failure)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.files import read_json, read_parquet, replacing
+from hil.files import look_for_pandas, read_json, read_parquet, replacing
 from hil.journal.profile_clock import profile_times
 from hil.journal.rows import JournalError
 from hil.journal.writer import JournalReader
@@ -57,6 +57,7 @@ def export_record(journal: Path, parquet: Path, metadata: Mapping[str, Any] | No
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    look_for_pandas()
     reader = JournalReader(journal)
     try:
         header = reader.header

@@ -60,29 +60,29 @@ def test_whatever_a_twin_took_up_may_change_and_nothing_further_is_named_as_it()
 
 
 @pytest.mark.parametrize("name", ADOPTED)
-def test_an_effect_that_grows_after_it_was_adopted_is_told(bench: Bench, name: str) -> None:
+def test_an_effect_that_grows_after_it_was_adopted_is_told(brisk: Bench, name: str) -> None:
     table, later, (kind, where, driver) = ADOPTED[name]
-    own = Bench(bench.with_element(name, table))
-    more = bench.with_element(name, {**table, **later})
+    own = brisk.of(brisk.with_element(name, table))
+    more = brisk.with_element(name, {**table, **later})
     healthy = own.record(10.0, seed=7)
     assert diagnose(own.network, own.record(16.0), healthy).verdict == "adequate"
     answer = diagnose(own.network, own.record(16.0, 1, more, onset_h=5.0), healthy)
     assert [(e.kind, e.where, e.driver) for e in answer.effects] == [(kind, where, driver)]
 
 
-def test_a_healthy_record_from_before_an_adoption_is_read_by_the_twin_of_then(bench: Bench) -> None:
-    own = bench.with_element("heat", {"kind": "heat_source", "node": "modules", "power": 120.0})
-    good, later = bench.record(10.0, seed=7), Bench(own).record(16.0)
+def test_a_healthy_record_from_before_an_adoption_is_read_by_the_twin_of_then(brisk: Bench) -> None:
+    own = brisk.with_element("heat", {"kind": "heat_source", "node": "modules", "power": 120.0})
+    good, later = brisk.record(10.0, seed=7), brisk.of(own).record(16.0)
     with pytest.raises(NotHealthyError, match="does not fit the twin"):
         diagnose(own, later, good)
-    before = CommissionedRecord(good.time_s, good.inputs, good.measured, before=(bench.network,))
+    before = CommissionedRecord(good.time_s, good.inputs, good.measured, before=(brisk.network,))
     answer = diagnose(own, later, before)
     assert answer.verdict == "adequate"
     (note,) = (note for note in answer.notes if "before the twin's last changes" in note)
     # Heat at one module alone changes how the modules differ, and no healthy record knows that.
     assert "single thermometers of T_modules_C" in note
     # The whole record of the rig without what was taken up: the effect is gone.
-    gone = diagnose(own, bench.record(16.0), before)
+    gone = diagnose(own, brisk.record(16.0), before)
     assert [(e.kind, e.where, e.change) for e in gone.effects] == [("heat_source", "modules", "existing")]
     assert gone.effects[0].value == pytest.approx(-120.0, rel=0.03)
 

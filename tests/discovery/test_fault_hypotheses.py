@@ -89,11 +89,11 @@ def test_two_that_differ_are_told_each_by_itself(brisk: Bench, brisk_healthy: Co
 
 def test_an_error_and_heat_at_the_same_place_are_two(bench: Bench, healthy: Columns) -> None:
     heated = bench.with_element("heat", {"kind": "heat_source", "node": "modules", "power": 60.0})
-    record = with_six(bench, bench.record(16.0, changed=heated, onset_h=4.0), 6)
+    record = with_six(bench, bench.record(12.0, changed=heated, onset_h=2.0), 6)
     each, j = record.members[SENSOR].copy(), bench.network.sensor_names.index(SENSOR)
-    warmer = slowly(np.where(record.time_s > 4.0 * 3600.0, 1.0, 0.0), 40.0)
+    warmer = slowly(np.where(record.time_s > 2.0 * 3600.0, 1.0, 0.0), 40.0)
     each += warmer[:, None] * np.array([-0.2, -0.2, 1.0, -0.2, -0.2, -0.2])
-    each[:, 2] -= np.where(record.time_s > 10.0 * 3600.0, 0.7, 0.0)
+    each[:, 2] -= np.where(record.time_s > 6.0 * 3600.0, 0.7, 0.0)
     measured = record.measured.copy()
     measured[:, j] = each.mean(axis=1)
     both = replace(record, measured=measured, members={SENSOR: each})
@@ -101,7 +101,7 @@ def test_an_error_and_heat_at_the_same_place_are_two(bench: Bench, healthy: Colu
     told = {(e.kind, e.where): e for e in found.effects}
     assert set(told) == {("heat_source", "pm3"), ("sensor", "T_pm3_C")}
     assert told["sensor", "T_pm3_C"].value == pytest.approx(-0.7, abs=0.1)
-    assert told["sensor", "T_pm3_C"].onset_s == pytest.approx(10.0 * 3600.0, abs=900.0)
+    assert told["sensor", "T_pm3_C"].onset_s == pytest.approx(6.0 * 3600.0, abs=900.0)
 
 
 def test_heat_at_one_place_is_told_there_in_words_too(brisk: Bench, brisk_healthy: Columns) -> None:

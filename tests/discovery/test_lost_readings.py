@@ -22,7 +22,7 @@ def without(record: Columns, bench: Bench, sensor: str) -> Columns:
 
 @pytest.mark.parametrize("offset", [0.9, -0.9])
 def test_a_room_thermometer_in_error_is_told_the_right_way_round(bench: Bench, healthy: Columns, offset: float) -> None:
-    record = bench.record(16.0, 3)
+    record = bench.record(10.0, 3)
     inputs = record.inputs.copy()
     inputs[:, bench.network.input_columns.index("T_ambient_C")] += offset
     found = diagnose(bench.network, replace(record, inputs=inputs), healthy)

@@ -46,14 +46,14 @@ def known_of(bench: Bench, healthy: Columns, record: Columns) -> tuple[Basis, Pa
 
 
 def test_a_lag_that_the_healthy_record_leaves_open_is_no_change(bench: Bench, late: Bench) -> None:
-    healthy, record = calm(bench, late), late.record(16.0, seed=4)
+    healthy, record = calm(bench, late), late.record(10.0, seed=4)
     found = diagnose(bench.network, record, healthy)
     assert found.verdict == "adequate"
     assert any("healthy record" in note and "T_tank_C" in note for note in found.notes), found.notes
 
 
 def test_a_lag_that_the_healthy_record_rules_out_is_told(bench: Bench, late: Bench, healthy: Columns) -> None:
-    found = diagnose(bench.network, late.record(16.0, seed=4), healthy)
+    found = diagnose(bench.network, late.record(10.0, seed=4), healthy)
     assert [(e.kind, e.where, e.driver) for e in found.effects] == [("sensor", "T_tank_C", "rate_of_change")]
 
 

@@ -6,7 +6,8 @@ import pytest
 from tests.discovery.conftest import Bench
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.engine import diagnose
-from twin.discovery.evidence.part import Part
+from twin.discovery.evidence import part as parts
+from twin.discovery.evidence.part import Part, fitted, gains
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
 from twin.discovery.refit.model import Model
@@ -34,6 +35,22 @@ def test_a_thermometer_that_lags_goes_on_lagging_while_something_else_grows(benc
         record.time_s, record.inputs, state.copy(), values, np.array([[LAG_S, 0.0]])
     )
     assert np.abs(beside - alone).max() < 1e-9
+
+
+def test_fits_side_by_side_are_those_of_one_after_the_other(
+    brisk: Bench, brisk_healthy: Columns, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = brisk.record(8.0, changed=brisk.with_values(modules_power__power=120.0), onset_h=3.0)
+    grid = on_grid(brisk.network, record.time_s, record.inputs, record.measured)
+    known, found = basis(brisk.network, brisk_healthy, grid), []
+    for at_once in (1, 4):
+        monkeypatch.setattr(parts, "SIDE_BY_SIDE", at_once)
+        part = Part.of(known, grid)
+        labels = [law.candidate for law in part.laws if law.candidate.driver == "constant"][:8]
+        tried = [entry(part, (c.kind, c.where, c.driver), Shape("step", 1350.0), c.typical) for c in labels]
+        fits = fitted(part, [(one,) for one in tried], 2)
+        found.append(([(fit.moved.tolist(), group[0].candidate.id) for fit, group in fits], gains(part, tried)))
+    assert len(tried) == 8 and found[0] == found[1]
 
 
 def test_a_lag_and_a_growing_loss_at_one_place_are_both_found(bench: Bench, healthy: Columns) -> None:

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from hil.diagnosis.page import page
-from hil.diagnosis.page.figures import pictures
-from hil.diagnosis.results import write
+from hil.diagnosis.results import write, write_data
 from hil.diagnosis.store import (
     CURVES,
     DOCUMENT,
@@ -42,6 +41,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+def shown(text: str) -> set[str]:
+    """The pictures of a page."""
+    return set(re.findall(r'<img id="(\w+)"', text))
+
+
 def test_curves_come_back_as_they_were_written(tmp_path):
     curves = curves_of(made(), SENSORS)
     write_curves(curves, tmp_path / CURVES)
@@ -61,7 +65,7 @@ def test_curves_come_back_as_they_were_written(tmp_path):
 def test_a_diagnosis_with_another_twin_is_kept_and_one_with_the_same_twin_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("a file of the operator")
     for twin in ("a", "a", "b", "c"):
-        write(
+        write_data(
             made(),
             SENSORS,
             tmp_path,
@@ -86,7 +90,7 @@ def test_a_diagnosis_of_another_record_is_kept_with_its_experiment(tmp_path: Pat
         document("live", None, "run"),
         document("later", None, "run"),
     ):
-        write(made(), SENSORS, tmp_path, extra)
+        write_data(made(), SENSORS, tmp_path, extra)
         (tmp_path / "experiment.csv").write_text(str(extra["of"]), encoding="utf-8")
     found = {str(p.parent.relative_to(tmp_path)): json.loads(p.read_text())["of"] for p in tmp_path.rglob(DOCUMENT)}
     assert found == {".": "later", "before-1": "again", "before-2": "other"}
@@ -103,7 +107,7 @@ def test_a_folder_without_curves_is_one_sentence(tmp_path, folder):
 def test_the_page_begins_with_the_verdict_and_holds_every_picture(folder):
     text = (folder / "diagnosis.html").read_text(encoding="utf-8")
     assert text.index("effect found") < text.index(SAYS) < text.index("<img")
-    assert set(re.findall(r'<img id="(\w+)"', text)) == PICTURES
+    assert shown(text) == PICTURES
     assert all(f"<h3>{title}</h3>" in text for title in ("Effects", "Other explanations", "Tunables", "Provenance"))
 
 
@@ -141,8 +145,8 @@ def test_what_comes_from_files_cannot_become_markup(folder):
 def test_every_verdict_has_its_page(verdict):
     diagnosis = made(verdict, summary=f"said of {verdict}")
     findings = Findings(diagnosis.document() | {"record": "r.csv"}, curves_of(diagnosis, SENSORS))
-    assert f"said of {verdict}" in page(findings)
-    assert set(pictures(findings)) == PICTURES
+    text = page(findings)
+    assert f"said of {verdict}" in text and shown(text) == PICTURES
 
 
 def test_what_did_not_explain_the_record_is_not_called_the_effect():
@@ -184,9 +188,8 @@ def test_a_diagnosis_that_shows_little_still_makes_a_page():
     bare = dataclasses.replace(
         made("adequate"), errors={}, courses=(), ladder=(), moved=(), indistinguishable=(), alternatives=(), folds=()
     )
-    findings = Findings(bare.document(), curves_of(bare, SENSORS))
-    assert set(pictures(findings)) == {"residuals"}
-    assert "adequate" in page(findings)
+    text = page(Findings(bare.document(), curves_of(bare, SENSORS)))
+    assert "adequate" in text and shown(text) == {"residuals"}
 
 
 def test_rerun_shows_the_curves_and_the_onset(folder, tmp_path):
@@ -213,7 +216,7 @@ def test_the_review_of_a_run_takes_in_the_diagnosis_in_its_folder(tmp_path):
     write_review(journal, tmp_path / "before.rrd")
     with pytest.raises(KeyError):
         read_columns(tmp_path / "before.rrd", path("diagnosis", "residual", SENSORS[0], "stale"))
-    write(made(), SENSORS, tmp_path / "diagnosis", {})
+    write_data(made(), SENSORS, tmp_path / "diagnosis", {})
     write_review(journal, tmp_path / "after.rrd")
     _, values = read_columns(tmp_path / "after.rrd", path("diagnosis", "residual", SENSORS[0], "after"))
     assert len(values) == 60

@@ -31,9 +31,13 @@ OF_FRAMES = (
     "too few registers",
     "wrong function",
     "late replies, brief",
+    "replies in pieces",
+    "CAN text garbled",
 )
 """Replies that the driver refuses: tests/contract has each on every transport, and the run sees the same link fault of
 all. "late replies" and "garbled over TLS" stand for them here; `hil bench faults` has them all."""
+IN_PAIRS = ("thermocouple stuck", "pump stop")
+"""Each with another fault in `TWO_AT_A_TIME`."""
 ALIKE = ("CAN silent", "SIGINT")
 """A bus-off is silence as well, and SIGTERM takes the way of SIGINT, which tests/hil/test_run.py sends, too."""
 HUNG, KILLED = ("loop hangs", 0), ("SIGKILL", 3)
@@ -42,7 +46,7 @@ AFTER = ("link drop", "disk full", "thermocouple open", "rig reboot")
 
 
 def cases() -> list[tuple[str, int]]:
-    names = [name for name in KINDS if name not in (*COSTLY, *OF_FRAMES, *ALIKE, *AFTER, HUNG[0])]
+    names = [name for name in KINDS if name not in (*COSTLY, *OF_FRAMES, *IN_PAIRS, *ALIKE, *AFTER, HUNG[0])]
     names = [name for name in names if KINDS[name].place != "tls" or shutil.which("openssl")]
     return [(kind, number + 1) for kind, number in singles(len(names), names)] + [HUNG, KILLED]
 
@@ -62,7 +66,7 @@ def followed() -> list[FaultResult]:
 def results(followed) -> list[FaultResult]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("HIL_TEST_TOKEN", TOKEN)
-        return asyncio.run(campaign(cases(), SEED, jobs=3, resume=False)) + followed
+        return asyncio.run(campaign(cases(), SEED, jobs=4, resume=False)) + followed
 
 
 def started(token: str) -> list[str]:
@@ -82,11 +86,11 @@ def test_a_campaign_leaves_no_process_behind_not_even_a_guardian_without_its_rig
 
 @pytest.mark.timeout(900)
 def test_a_fault_of_each_kind_breaks_no_must(results):
-    assert len(results) == len(cases()) + len(AFTER) >= 21
+    assert len(results) == len(cases()) + len(AFTER) >= 17
     broken = [f"{r.kind} {r.number}: {'; '.join(r.failures)} [{r.reason}]" for r in results if r.failures]
     assert not broken, "\n".join(broken)
     struck = [r for r in results if r.heated and r.ended != "rode through"]
-    assert len(struck) >= 12
+    assert len(struck) >= 10
     for result in struck:
         limit = WATCHDOG_S + 0.2 if result.ended == "killed" else STALE_LIMIT_S
         assert result.safe is not None

@@ -20,7 +20,7 @@ from tests.hil.made_fleet import TRACKED, made_fleet
 pytest.importorskip("distributed")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(PROJECT), "OPENBLAS_NUM_THREADS": "1"}
 PATIENCE_S = 120.0
-SEEDS = 25
+SEEDS = 12
 """Seeds of a fleet that is to be cancelled: it lasts for seconds."""
 
 

@@ -40,11 +40,11 @@ def record_of(target: Path) -> Path:
     SubjectError
         The folder has no record and none can be made.
     """
-    from hil.run.session import current_record
-
     folder = RunFolder(target if target.is_dir() else target.parent)
     if not target.is_dir() and not (target.name == folder.record.name and folder.manifest.is_file()):
         return target
+    from hil.run.session import current_record
+
     try:
         return current_record(folder, lambda text: click.echo(text, err=True))
     except RunFolderError as error:
