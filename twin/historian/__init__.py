@@ -12,9 +12,11 @@ from twin.lazy_names import lazy_names
 if TYPE_CHECKING:
     from twin.historian.columns import OF_CELL, OF_STATION
     from twin.historian.events import INFLUENCE, Event, disturbed, influence_of
-    from twin.historian.plausible import in_usual_units, order_and_silence, without_strays
+    from twin.historian.plausible import in_usual_units
+    from twin.historian.ratings import Ratings
     from twin.historian.record import CellMinutes, cell_minutes, out_of_range, shared_minutes
     from twin.historian.regimes import START_UP_MIN, start_ups
+    from twin.historian.stamps import order_and_silence, without_strays
     from twin.historian.tags import Defect, Series, Tag
     from twin.historian.units import SPEEDS, UnitError, full_speed_of, unit_of
 
@@ -28,6 +30,7 @@ __all__ = [
     "CellMinutes",
     "Defect",
     "Event",
+    "Ratings",
     "Series",
     "Tag",
     "UnitError",
@@ -49,9 +52,11 @@ __getattr__, __dir__ = lazy_names(
     {
         "columns": ("OF_CELL", "OF_STATION"),
         "events": ("Event", "INFLUENCE", "disturbed", "influence_of"),
-        "plausible": ("in_usual_units", "order_and_silence", "without_strays"),
+        "plausible": ("in_usual_units",),
+        "ratings": ("Ratings",),
         "record": ("CellMinutes", "cell_minutes", "out_of_range", "shared_minutes"),
         "regimes": ("START_UP_MIN", "start_ups"),
+        "stamps": ("order_and_silence", "without_strays"),
         "tags": ("Defect", "Series", "Tag"),
         "units": ("SPEEDS", "UnitError", "full_speed_of", "unit_of"),
     },

@@ -15,7 +15,17 @@ from hil.tower.calibration.healthy import Healthy, clean_cell_of
 from hil.tower.calibration.prepared_cells import priors_of, site_of
 from hil.tower.station import Mistakes, read_cell, read_datasheet, read_notes, read_rows
 from twin.network import Network, Revision, digest
-from twin.tower import Array, CellModel, Inputs, cell_network, cell_of, design_of, minutes_of, value_of
+from twin.tower import (
+    Array,
+    CellModel,
+    Inputs,
+    cell_network,
+    cell_of,
+    design_of,
+    minutes_of,
+    site_pressure_of,
+    value_of,
+)
 from twin.tower.calibration import CalibrationError, fit_cell
 from twin.tower.clean_cell import CommissionedCell, CommissioningError, TestPoints, fit_clean_cell
 
@@ -128,6 +138,8 @@ def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, 
     share = float(sheet.get("bypass", {}).get("share_when_open", 0.0))
     site = float(design.get("pressure_kPa", 101.325))
     found = read_points(points, cell, site)
+    if "pressure_kPa" not in design:
+        site = float(np.median(found.points.inputs.pressure))
     flows, air = found.points.inputs.m_w / water_flow, found.points.m_a / (found.points.inputs.speed * water_flow)
     _refuse_far(points, cell, ("water_flow_kg_s", flows), f"design.water_flow_kg_s of {datasheet}", FAR["t/h"])
     if loading > 0.0:
@@ -177,7 +189,7 @@ def learn_healthy(record: Path, network: Network, span: tuple[float, float]) -> 
         raise RecordError(f"{cell.path}: holds no minute of the healthy span; give days of this record")
     columns = {name: values[rows] for name, values in cell.columns.items()}
     origin = {name: values[rows] for name, values in cell.origin.items()}
-    minutes = minutes_of(cell.time_s[rows], columns, origin, design.m_w0, share)
+    minutes = minutes_of(cell.time_s[rows], columns, origin, design.m_w0, share, site_kPa=site_pressure_of(network))
     clean = Healthy(*span, np.zeros(0), np.zeros((0, 0)))
     model = CellModel(design, site_of(read_notes(record), share))
     try:
