@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from twin.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from twin.historian.checks import FAN_APART
     from twin.historian.columns import OF_CELL, OF_STATION
     from twin.historian.events import INFLUENCE, Event, disturbed, influence_of
     from twin.historian.plausible import in_usual_units
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 
 __all__ = [
+    "FAN_APART",
     "INFLUENCE",
     "OF_CELL",
     "OF_STATION",
@@ -50,6 +52,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        "checks": ("FAN_APART",),
         "columns": ("OF_CELL", "OF_STATION"),
         "events": ("Event", "INFLUENCE", "disturbed", "influence_of"),
         "plausible": ("in_usual_units",),

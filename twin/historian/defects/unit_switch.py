@@ -42,6 +42,12 @@ it."""
 OTHER_FACTOR, SCATTERS = 0.12, 2.0
 """Share of what the switch moves, and deviations of the rows, by which the converted span may be apart from the rest:
 5 % of a fan's speed in Hz, 4 % of a power in hp."""
+BESIDE, NEXT = 48, 4
+"""Rows of a quarter of an hour on either side of an edge whose levels are compared, half a day; and within how many of
+them it must be at work, an hour."""
+OFF_FACTOR, SURELY = 0.25, 3.0
+"""Logarithm of the ratio of the levels, and median deviations of it, beyond which a factor is none of a unit: operation
+moves a level by less in half a day, or varies meanwhile."""
 FEWEST_ROWS = 8
 """Rows of a quarter of an hour at work by which a span is judged: `LEAST_S`."""
 OUTSIDE = 0.7
@@ -262,12 +268,34 @@ def _best_span(
         predicted, _ = predict(np.where(inside, other, x))
         odds_of_rows = _judged(x, other, (plain[0], predicted), inside, unit.scale / own.scale, odds_of >= SURE_EDGES)
         total_odds = odds_of + odds_of_rows - float(np.log(len(pairs)))
-        if total_odds >= LEAST_ODDS:
+        if total_odds >= LEAST_ODDS and not (own.offset == unit.offset == 0.0 and _of_another_factor(x, other, inside)):
             valid.append((total_odds, low, high))
     if not valid:
         return None
     most, low, high = max(valid)
     return _Span(unit, name, low, high, most)
+
+
+def _of_another_factor(x: Array, converted: Array, inside: Mask) -> bool:
+    """Return whether the converted readings of a span (m,) are on another level than the readings beside each edge.
+
+    A change of range by another factor than that of units can be near enough to it to explain most of the leap.
+    Readings that vary as much as the levels differ tell nothing.
+    """
+    value = np.where(inside, converted, x)
+    edges = np.flatnonzero(np.diff(inside.astype(np.int8)) != 0) + 1
+    rest = AT_REST * float(np.nanquantile(np.abs(value), 0.95)) if np.isfinite(value).any() else np.inf
+    off = []
+    for at in edges.tolist():
+        sides = value[max(at - BESIDE, 0) : at], value[at : at + BESIDE]
+        work = [side > rest for side in sides]
+        if min(rows.sum() for rows in work) < FEWEST_ROWS or not (work[0][-NEXT:].any() and work[1][:NEXT].any()):
+            return False  # it may have started anew at another level
+        parts = [np.log(side[rows]) for side, rows in zip(sides, work, strict=True)]
+        scatter = max(float(np.median(np.abs(part - np.median(part)))) for part in parts)
+        apart = abs(float(np.median(parts[1]) - np.median(parts[0])))
+        off.append(apart > max(OFF_FACTOR, SURELY * scatter))
+    return bool(off) and all(off)
 
 
 def _inside(n: int, rows: Array) -> Mask:
