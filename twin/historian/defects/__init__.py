@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.historian.defects.clock_changes import local_by_change
+from twin.historian.defects.clock_course import moved_clocks
 from twin.historian.defects.clocks import Shift, changed_clocks, corrected, repeated_hours, shifted_clocks
 from twin.historian.defects.humidity import latched, wet_bulb_defects
 from twin.historian.defects.quality import bad_quality
@@ -85,6 +86,7 @@ def find_and_repair(
     raw = _on_time(raw, others.found)
     clocks += others.found
     usable = [one.usable() for one in raw]
+    courses = [one.says for one in moved_clocks(usable)]
     found += [defect for defect, _ in clocks]
     found += [defect for one in raw for defect in bad_quality(one)]
     found += repeated_stamps(raw)
@@ -126,7 +128,7 @@ def find_and_repair(
     return Repaired(
         tuple(series),
         tuple(sorted(found, key=lambda d: (d.start_s, d.kind, d.tags))),
-        (*contradicted, *others.remarks, *constant),
+        (*contradicted, *others.remarks, *courses, *constant),
     )
 
 
