@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from twin.historian.checks import FAN_APART
     from twin.historian.columns import OF_CELL, OF_STATION
     from twin.historian.events import INFLUENCE, Event, disturbed, influence_of
-    from twin.historian.plausible import in_usual_units
+    from twin.historian.plausible import in_usual_units, usual_at_work
     from twin.historian.ratings import Ratings
     from twin.historian.record import CellMinutes, cell_minutes, out_of_range, shared_minutes
     from twin.historian.regimes import START_UP_MIN, start_ups
@@ -46,6 +46,7 @@ __all__ = [
     "shared_minutes",
     "start_ups",
     "unit_of",
+    "usual_at_work",
     "without_strays",
 ]
 
@@ -55,7 +56,7 @@ __getattr__, __dir__ = lazy_names(
         "checks": ("FAN_APART",),
         "columns": ("OF_CELL", "OF_STATION"),
         "events": ("Event", "INFLUENCE", "disturbed", "influence_of"),
-        "plausible": ("in_usual_units",),
+        "plausible": ("in_usual_units", "usual_at_work"),
         "ratings": ("Ratings",),
         "record": ("CellMinutes", "cell_minutes", "out_of_range", "shared_minutes"),
         "regimes": ("START_UP_MIN", "start_ups"),

@@ -5,7 +5,7 @@ Nothing is guessed: such a tag is left out, and the remark names the unit in whi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -52,6 +52,8 @@ LEAST_SHARE = 0.2
 """Share of the samples in the usual range; a unit switch leaves more on one side."""
 FLOW = (0.1, 3.0)
 """Times the design flow between which most samples of a running cell lie."""
+OF_MOTOR = (0.01, 1.5)
+"""Power of a fan at work over that of its motor: at a fifth of the speed, and with the service factor of motors."""
 USUAL_FLOW = (0.25, 1.5)
 """Times the design flow between which a cell is run: below, the fill is not wetted; above, nozzles and basin overflow.
 Another unit in which the flow is usual is taken as its right one."""
@@ -147,6 +149,19 @@ def in_usual_units(
         remarks.append(f"{places.get(found.tag, 'the dictionary')}: {found.says}; {what}; {remedy}")
         kept = [one for one in kept if one.tag.name != found.tag or not found.left_out]
     return kept, remarks
+
+
+def usual_at_work(tags: Iterable[Tag], ratings: Ratings) -> dict[str, tuple[float, float]]:
+    """Return the values at work of the tags that the datasheet rates, in the record's unit, by tag."""
+    found = {}
+    for tag in tags:
+        if tag.role == "water_flow" and ratings.water_flow_kg_s:
+            found[tag.name] = FLOW[0] * ratings.water_flow_kg_s, FLOW[1] * ratings.water_flow_kg_s
+        elif tag.role == "fan_power" and (rated := ratings.motor_kW or ratings.fan_kW):
+            found[tag.name] = OF_MOTOR[0] * rated, OF_MOTOR[1] * rated
+        elif tag.role == "barometric_pressure" and ratings.pressure_kPa:
+            found[tag.name] = (1.0 - SITE) * ratings.pressure_kPa, (1.0 + SITE) * ratings.pressure_kPa
+    return found
 
 
 def _counts(series: Series) -> bool:

@@ -68,6 +68,7 @@ from twin.historian import (
     order_and_silence,
     out_of_range,
     shared_minutes,
+    usual_at_work,
     without_strays,
 )
 from twin.historian.defects import Repaired, find_and_repair
@@ -129,6 +130,7 @@ def align(store: HistorianStore, station: Station, out: Path, stamps: str | None
         pressure_kPa=station.pressure_kPa,
         events=station.events,
         full_speed=station.full_speed,
+        usual=usual_at_work(station.tags.values(), station.ratings),
     )
     local = frozenset(name for one in repaired.defects if one.kind == "local_time" for name in one.tags)
     if isinstance(store, CsvStore) and store.zoneless and stamps is None and not local:

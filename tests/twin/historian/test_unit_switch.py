@@ -140,3 +140,21 @@ def test_spans_of_another_scale_begin_before_they_end() -> None:
         for one in store
     ]
     assert all(one.start_s <= one.end_s for one in _found(spoilt).defects)
+
+
+@pytest.mark.parametrize("late_is_wrong", [True, False])
+def test_of_two_units_with_one_edge_the_datasheet_tells_the_wrong_one(late_is_wrong: bool) -> None:
+    rng = np.random.default_rng(23)
+    store, middle = clean_store(rng, 12.0), START_S + 6.0 * DAY_S
+    spoilt = [
+        replace(one, value=np.where((one.time_s > middle) == late_is_wrong, 1000.0 * one.value, one.value))
+        if one.tag.name == "JI1"
+        else one
+        for one in store
+    ]
+    repaired = find_and_repair(spoilt, timezone=ZONE, full_speed="50 Hz", usual={"JI1": (0.4, 60.0)})
+    (found,) = repaired.defects
+    assert found.kind == "unit_switch" and found.says == "JI1 is in W instead of kW"
+    assert (found.start_s > middle - DAY_S) == late_is_wrong
+    (power,) = (one for one in repaired.series if one.tag.name == "JI1")
+    assert float(power.value.max()) < 60.0

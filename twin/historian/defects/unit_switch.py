@@ -136,6 +136,47 @@ def converted(series: Series, switch: Switch) -> Series:
     return replace(series, value=np.where(inside, again, series.value))
 
 
+def turned(switch: Switch, series: Series, usual: tuple[float, float] | None) -> Switch:
+    """Return a switch, or that of the rest of the record where the datasheet shows the span to be right.
+
+    With one edge in the record, a span in another unit and the rest in the inverse one look alike.
+
+    Parameters
+    ----------
+    switch
+        Of the tag.
+    series
+        Samples of the tag, in the unit of the dictionary.
+    usual
+        Values at work that the quantity has, in the record's unit; None where nobody knows.
+    """
+    own, time_s = unit_of(series.tag.unit), series.time_s
+    inside = (time_s >= switch.defect.start_s) & (time_s <= switch.defect.end_s)
+    first, last = bool(inside[0]), bool(inside[-1])
+    if usual is None or own.offset != 0.0 or switch.unit.offset != 0.0 or first == last:
+        return switch
+    factor = switch.unit.scale / own.scale
+    shares = []
+    for value in (np.where(inside, factor, 1.0), np.where(inside, 1.0, 1.0 / factor)):
+        reading = own.scale * value * series.value
+        work = reading[reading > AT_REST * np.quantile(reading, 0.95)]
+        shares.append(float(((work >= usual[0]) & (work <= usual[1])).mean()) if len(work) else 0.0)
+    inverse = next(
+        (
+            (name, unit)
+            for name, unit in alternatives(series.tag.unit).items()
+            if np.isclose(unit.scale * switch.unit.scale, own.scale**2, rtol=1e-2)
+        ),
+        None,
+    )
+    if inverse is None or shares[1] < MOSTLY or shares[0] > 1.0 - MOSTLY:
+        return switch
+    rest = time_s[~inside]
+    says = f"{series.tag.name} is in {inverse[0]} instead of {series.tag.unit}"
+    defect = replace(switch.defect, start_s=float(rest[0]), end_s=float(rest[-1]), says=says)
+    return Switch(defect, inverse[1])
+
+
 def _switches(table: TagPanel, edges_of: TagEdges) -> list[Switch]:
     """Return the most probable switch of each tag that has one."""
     edges = [edges_of.of(one) for one in table.series]
