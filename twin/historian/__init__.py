@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from twin.historian.plausible import in_usual_units, usual_at_work
     from twin.historian.ratings import Ratings
     from twin.historian.record import CellMinutes, cell_minutes, out_of_range, shared_minutes
-    from twin.historian.regimes import START_UP_MIN, start_ups
+    from twin.historian.regimes import START_UP_MIN, Regime, start_ups
     from twin.historian.stamps import order_and_silence, without_strays
     from twin.historian.tags import Defect, Series, Tag
     from twin.historian.units import SPEEDS, UnitError, full_speed_of, unit_of
@@ -33,6 +33,7 @@ __all__ = [
     "Defect",
     "Event",
     "Ratings",
+    "Regime",
     "Series",
     "Tag",
     "UnitError",
@@ -59,7 +60,7 @@ __getattr__, __dir__ = lazy_names(
         "plausible": ("in_usual_units", "usual_at_work"),
         "ratings": ("Ratings",),
         "record": ("CellMinutes", "cell_minutes", "out_of_range", "shared_minutes"),
-        "regimes": ("START_UP_MIN", "start_ups"),
+        "regimes": ("Regime", "START_UP_MIN", "start_ups"),
         "stamps": ("order_and_silence", "without_strays"),
         "tags": ("Defect", "Series", "Tag"),
         "units": ("SPEEDS", "UnitError", "full_speed_of", "unit_of"),
