@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from twin.historian.exchanges import exchanged_meter
 from twin.historian.ratings import Ratings, contradictions
 from twin.historian.tags import Array, Series, Tag
 from twin.historian.units import SPEEDS, UNITS, Unit, full_speed_of, possible_units, unit_of
@@ -108,6 +109,16 @@ def in_usual_units(
             usual = FLOW[0] * design_flow_kg_s, FLOW[1] * design_flow_kg_s
         if one.tag.role == "water_flow" and len(values):
             values = _at_work(values)
+        change = exchanged_meter(one, design_flow_kg_s) if one.tag.role == "water_flow" else None
+        if change is not None:
+            when, place = np.datetime64(int(change.time_s), "s"), places.get(one.tag.name, "the dictionary")
+            one = change.right(one)
+            values = _at_work(one.value[one.good])
+            remarks.append(
+                f"{place}: {one.tag.name} goes from {change.before:.4g} to {change.after:.4g} {one.tag.unit} at "
+                f"{when}Z and stays there, as of a meter that was exchanged; its samples "
+                f"{'from then on' if change.late_is_wrong else 'before'} are left out: correct them in the store"
+            )
         unit = _in_percent(one.tag.unit, full_speed)
         top = float(np.quantile(values, 0.95)) if len(values) else 0.0
         if one.tag.role in FANS and SHARE[0] < top and values.max() < SHARE[1]:

@@ -83,9 +83,27 @@ def test_a_flow_far_from_the_design_flow_is_named_and_used(clean: list[Series]) 
 
 
 def test_a_meter_whose_range_changed_is_in_no_other_unit_throughout(clean: list[Series]) -> None:
-    for name in ("F1", "JI1", "JP"):
+    for name in ("JI1", "JP"):
         left_out, remarks = judged(clean, {name: lambda v: np.where(np.arange(len(v)) > 0.55 * len(v), 10.0 * v, v)})
         assert left_out == set() and remarks == ""
+
+
+@pytest.mark.parametrize("factor", [10.0, 0.1])
+@pytest.mark.parametrize("late", [True, False])
+def test_the_wrong_part_of_an_exchanged_flow_meter_is_left_out(clean: list[Series], factor: float, late: bool) -> None:
+    middle = clean[0].time_s[0] + 4.3 * 86400.0
+    series = [
+        replace(one, value=np.where((one.time_s > middle) == late, factor * one.value, one.value))
+        if one.tag.name == "F1"
+        else one
+        for one in clean
+    ]
+    kept, (remark,) = in_usual_units(series, {}, RATINGS)
+    (flow,) = (one for one in kept if one.tag.name == "F1")
+    (whole,) = (one for one in clean if one.tag.name == "F1")
+    assert "as of a meter that was exchanged" in remark
+    assert abs(len(flow.time_s) - ((whole.time_s > middle) != late).sum()) < 60
+    assert np.quantile(flow.value, 0.95) == pytest.approx(np.quantile(whole.value, 0.95), rel=0.1)
 
 
 @pytest.mark.parametrize("wrap", [1e9, 65536.0, 1000.0])
