@@ -31,7 +31,19 @@ from hil.tower import (
     site_of,
 )
 from twin import Network
-from twin.tower import DAY_S, DEVIATIONS, MEASURED, Array, CellModel, Fitted, Step, design_of, minutes_of, value_of
+from twin.tower import (
+    DAY_S,
+    DEVIATIONS,
+    MEASURED,
+    Array,
+    CellModel,
+    Fitted,
+    Step,
+    design_of,
+    minutes_of,
+    site_pressure_of,
+    value_of,
+)
 
 BEFORE_DAYS, AFTER_DAYS = 5.0, 2.0
 """A step is confirmed by the day after it, and its level is known from the days before."""
@@ -135,7 +147,9 @@ def _part(whole: CellRecord, rows: slice) -> CellRecord:
 def _fit(network: Network, record: CellRecord, notes: StationNotes) -> tuple[Fitted, tuple[Step, ...]]:
     share = value_of(network, "cell.bypass_share")
     design = design_of(network)
-    minutes = minutes_of(record.time_s, record.columns, record.origin, design.m_w0, share)
+    minutes = minutes_of(
+        record.time_s, record.columns, record.origin, design.m_w0, share, site_kPa=site_pressure_of(network)
+    )
     model, openings = CellModel(design, site_of(notes, share)), openings_of(notes, record.cell)
     fitted, steps, _ = fit_with_steps(model, minutes, record, priors_of(network), (), openings)
     return fitted, steps

@@ -27,6 +27,7 @@ from twin.tower import (
     minutes_of,
     model_sensitivities,
     plan_tests,
+    site_pressure_of,
     value_of,
 )
 from twin.twinfile import load
@@ -64,7 +65,7 @@ def plan(record: Path, twin: Path, warmer: float) -> StepTestPlan:
     cell = cell_of(network)
     read = read_cell(record, cell)
     design, share, effects = design_of(network), value_of(network, "cell.bypass_share"), effects_of(network)
-    minutes = minutes_of(read.time_s, read.columns, read.origin, design.m_w0, share, effects)
+    minutes = minutes_of(read.time_s, read.columns, read.origin, design.m_w0, share, effects, site_pressure_of(network))
     blocks, _ = blocks_of(minutes)
     end = _last_day(blocks.time_s)
     if end is None:

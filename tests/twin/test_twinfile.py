@@ -1,5 +1,7 @@
 """Twin files: what is refused, in which words, and that writing loses nothing."""
 
+import errno
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -157,6 +159,31 @@ def test_a_file_is_never_overwritten(loop: Network, tmp_path: Path) -> None:
         save(loop.with_values({"fins.UA_100": 71.0}), path)
     assert path.read_text() == text
     assert load(path).digest != ""
+
+
+def test_a_full_disk_leaves_no_part_of_a_twin_and_the_next_attempt_writes_it(loop: Network, tmp_path: Path) -> None:
+    path, (soft, hard) = tmp_path / "twin.toml", resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (600, hard))
+    try:
+        with pytest.raises(TwinFileError, match="cannot be written"):
+            save(loop, path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(tmp_path.iterdir()) == []
+    assert load(save(loop, path)).name == loop.name and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_system_without_links_takes_a_twin_too(
+    loop: Network, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr("os.link", refused)
+    path = save(loop, tmp_path / "twin.toml")
+    assert load(path).name == loop.name and list(tmp_path.iterdir()) == [path]
+    with pytest.raises(TwinFileError, match="exists already"):
+        save(loop, path)
 
 
 def test_absent_and_binary_files(tmp_path: Path) -> None:

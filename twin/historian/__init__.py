@@ -10,16 +10,20 @@ from typing import TYPE_CHECKING
 from twin.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from twin.historian.checks import FAN_APART
     from twin.historian.columns import OF_CELL, OF_STATION
     from twin.historian.events import INFLUENCE, Event, disturbed, influence_of
-    from twin.historian.plausible import in_usual_units, order_and_silence, without_strays
+    from twin.historian.plausible import in_usual_units, usual_at_work
+    from twin.historian.ratings import Ratings
     from twin.historian.record import CellMinutes, cell_minutes, out_of_range, shared_minutes
-    from twin.historian.regimes import START_UP_MIN, start_ups
+    from twin.historian.regimes import START_UP_MIN, Regime, start_ups
+    from twin.historian.stamps import order_and_silence, without_strays
     from twin.historian.tags import Defect, Series, Tag
     from twin.historian.units import SPEEDS, UnitError, full_speed_of, unit_of
 
 
 __all__ = [
+    "FAN_APART",
     "INFLUENCE",
     "OF_CELL",
     "OF_STATION",
@@ -28,6 +32,8 @@ __all__ = [
     "CellMinutes",
     "Defect",
     "Event",
+    "Ratings",
+    "Regime",
     "Series",
     "Tag",
     "UnitError",
@@ -41,17 +47,21 @@ __all__ = [
     "shared_minutes",
     "start_ups",
     "unit_of",
+    "usual_at_work",
     "without_strays",
 ]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        "checks": ("FAN_APART",),
         "columns": ("OF_CELL", "OF_STATION"),
         "events": ("Event", "INFLUENCE", "disturbed", "influence_of"),
-        "plausible": ("in_usual_units", "order_and_silence", "without_strays"),
+        "plausible": ("in_usual_units", "usual_at_work"),
+        "ratings": ("Ratings",),
         "record": ("CellMinutes", "cell_minutes", "out_of_range", "shared_minutes"),
-        "regimes": ("START_UP_MIN", "start_ups"),
+        "regimes": ("Regime", "START_UP_MIN", "start_ups"),
+        "stamps": ("order_and_silence", "without_strays"),
         "tags": ("Defect", "Series", "Tag"),
         "units": ("SPEEDS", "UnitError", "full_speed_of", "unit_of"),
     },

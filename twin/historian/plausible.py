@@ -5,13 +5,14 @@ Nothing is guessed: such a tag is left out, and the remark names the unit in whi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from twin.historian.exchanges import exchanged_meter
+from twin.historian.ratings import Ratings, contradictions
 from twin.historian.tags import Array, Series, Tag
-from twin.historian.units import SPEEDS, UNITS, Unit, alternatives, full_speed_of, unit_of
+from twin.historian.units import SPEEDS, UNITS, Unit, full_speed_of, possible_units, unit_of
 
 USUAL: dict[str, tuple[float, float]] = {
     "water_inlet_temperature": (2.0, 60.0),
@@ -24,11 +25,26 @@ USUAL: dict[str, tuple[float, float]] = {
     "relative_humidity": (3.0, 101.0),
     "relative_humidity_redundant": (3.0, 101.0),
     "barometric_pressure": (55.0, 110.0),
+    "header_pressure": (1.0, 2000.0),
+    "basin_level": (5.0, 105.0),
+    "wind_speed": (-1.0, 20.0),
     "fan_speed": (-1.0, 120.0),
     "fan_speed_command": (-1.0, 120.0),
 }
 """Canonical values between which most samples of a tower in operation lie, by role."""
 FANS = ("fan_speed", "fan_speed_command")
+OF_WATER = (
+    "water_inlet_temperature",
+    "water_outlet_temperature",
+    "basin_temperature",
+    "return_header_temperature",
+    "supply_temperature",
+)
+WHOLE, NEVER = 0.98, (np.inf, np.inf)
+"""Share of the samples that are usual in a unit in which all of the record is; and a range in which none is."""
+SITE = 0.1
+"""Share by which the air pressure of a site may be off that of its datasheet: the lowest and the highest at sea level
+are 14 % and 7 % off the mean, and 20 min of a storm are not most of a record."""
 SHARE = (0.4, 1.3)
 """High and highest values of a fan that is given as a share of full: one that stands reads less, one in % more."""
 TURNING = (5.0, 120.0)
@@ -37,22 +53,30 @@ LEAST_SHARE = 0.2
 """Share of the samples in the usual range; a unit switch leaves more on one side."""
 FLOW = (0.1, 3.0)
 """Times the design flow between which most samples of a running cell lie."""
+OF_MOTOR = (0.01, 1.5)
+"""Power of a fan at work over that of its motor: at a fifth of the speed, and with the service factor of motors."""
 USUAL_FLOW = (0.25, 1.5)
 """Times the design flow between which a cell is run: below, the fill is not wetted; above, nozzles and basin overflow.
 Another unit in which the flow is usual is taken as its right one."""
-SILENT_DAYS = 3.0
+COUNTED = ("mass flow", "power")
+"""Dimensions whose meters have a totaliser, of water or energy."""
+PARTS, FEWEST_STEPS, MOST_WRAPS = 4, 50, 0.25
+"""Parts of a record, changes in one, and share of falls in a counter that begins anew: noise has as many falls as
+rises, fifty rises in a row by chance once in 1e15."""
+LIKELY_FLOW = (0.5, 1.5)
+"""The same of most plants: beyond, a flow is named where another unit brings it there."""
+SHOWN = 3
+"""Units that a remedy names at most, the usual ones first."""
 FEWEST = 20
 """Samples of a tag below which nothing is judged by them."""
-DAY_S = 86400.0
 
 
 def in_usual_units(
-    series: Sequence[Series],
-    places: dict[str, str],
-    design_flow_kg_s: float | None = None,
-    full_speed: str = "60 Hz",
+    series: Sequence[Series], places: dict[str, str], ratings: Ratings | None = None
 ) -> tuple[list[Series], list[str]]:
     """Return the tags whose values are possible in their unit, and a sentence for each of the others.
+
+    A tag that contradicts the datasheet or other tags as little as the plant's own faults do is named and kept.
 
     Parameters
     ----------
@@ -60,24 +84,41 @@ def in_usual_units(
         Raw samples.
     places
         File and line of each tag in the dictionary, for the sentences.
-    design_flow_kg_s
-        Of a cell, by the datasheet.
-    full_speed
-        Speed of 100 %, as a number with its unit.
+    ratings
+        Of the datasheet.
 
     Raises
     ------
     UnitError
-        `full_speed` is no speed.
+        The speed of 100 % is no speed.
     """
+    ratings = ratings or Ratings()
+    design_flow_kg_s, full_speed = ratings.water_flow_kg_s, ratings.full_speed
     kept, remarks = [], []
     for one in series:
         usual = USUAL.get(one.tag.role)
         values = one.value[one.good]
+        if unit_of(one.tag.unit).dimension in COUNTED and _counts(one):
+            place = places.get(one.tag.name, "the dictionary")
+            remarks.append(
+                f"{place}: {one.tag.name} only rises, but for falls over most of its range, as a totaliser does; it is "
+                f"left out: map the tag of the rate, or store its increase per time"
+            )
+            continue
         if one.tag.role == "water_flow" and design_flow_kg_s:
             usual = FLOW[0] * design_flow_kg_s, FLOW[1] * design_flow_kg_s
         if one.tag.role == "water_flow" and len(values):
-            values = values[values > 0.1 * np.quantile(values, 0.95)]
+            values = _at_work(values)
+        change = exchanged_meter(one, design_flow_kg_s) if one.tag.role == "water_flow" else None
+        if change is not None:
+            when, place = np.datetime64(int(change.time_s), "s"), places.get(one.tag.name, "the dictionary")
+            one = change.right(one)
+            values = _at_work(one.value[one.good])
+            remarks.append(
+                f"{place}: {one.tag.name} goes from {change.before:.4g} to {change.after:.4g} {one.tag.unit} at "
+                f"{when}Z and stays there, as of a meter that was exchanged; its samples "
+                f"{'from then on' if change.late_is_wrong else 'before'} are left out: correct them in the store"
+            )
         unit = _in_percent(one.tag.unit, full_speed)
         top = float(np.quantile(values, 0.95)) if len(values) else 0.0
         if one.tag.role in FANS and SHARE[0] < top and values.max() < SHARE[1]:
@@ -90,16 +131,83 @@ def in_usual_units(
             run = USUAL_FLOW[0] * design_flow_kg_s, USUAL_FLOW[1] * design_flow_kg_s
             if _share(values, unit, run) < LEAST_SHARE and (better := _fitting(one.tag, values, run, full_speed)):
                 usual, fitting = run, better
+            elif doubt := _flow_in_doubt(one.tag, values, unit, design_flow_kg_s):
+                remarks.append(f"{places.get(one.tag.name, 'the dictionary')}: {doubt}")
+        if one.tag.role in OF_WATER and _share(values, unit, usual) < 1.0 - LEAST_SHARE and fitting:
+            # Not a part of the record in another unit: all of it is usual in that one.
+            whole = [name for name in fitting if _share(values, _in_percent(name, full_speed), usual) > WHOLE]
+            usual, fitting = (usual, fitting) if not whole else (NEVER, whole)
+        if one.tag.role == "barometric_pressure" and ratings.pressure_kPa:
+            run = (1.0 - SITE) * ratings.pressure_kPa, (1.0 + SITE) * ratings.pressure_kPa
+            if _share(values, unit, run) < LEAST_SHARE and (better := _fitting(one.tag, values, run, full_speed)):
+                usual, fitting = run, better
         if _share(values, unit, usual) >= LEAST_SHARE:
             kept.append(one)
             continue
-        remedy = f"give it the unit {' or '.join(fitting)} there" if fitting else "look at the instrument"
+        remedy = f"give it the unit {' or '.join(fitting[:SHOWN])} there" if fitting else "look at the instrument"
         middle = float(np.median(values))
         remarks.append(
             f"{places.get(one.tag.name, 'the dictionary')}: {one.tag.name} has a median of {middle:g} {one.tag.unit}, "
             f"which no {one.tag.role} has; it is left out; {remedy}"
         )
+    for found in contradictions(kept, ratings):
+        remedy = (
+            f"give it the unit {' or '.join(found.units[:SHOWN])}"
+            if found.units
+            else "check its unit and its instrument"
+        )
+        what = f"{found.tag} is left out" if found.left_out else "it is used as it stands"
+        remarks.append(f"{places.get(found.tag, 'the dictionary')}: {found.says}; {what}; {remedy}")
+        kept = [one for one in kept if one.tag.name != found.tag or not found.left_out]
     return kept, remarks
+
+
+def usual_at_work(tags: Iterable[Tag], ratings: Ratings) -> dict[str, tuple[float, float]]:
+    """Return the values at work of the tags that the datasheet rates, in the record's unit, by tag."""
+    found = {}
+    for tag in tags:
+        if tag.role == "water_flow" and ratings.water_flow_kg_s:
+            found[tag.name] = FLOW[0] * ratings.water_flow_kg_s, FLOW[1] * ratings.water_flow_kg_s
+        elif tag.role == "fan_power" and (rated := ratings.motor_kW or ratings.fan_kW):
+            found[tag.name] = OF_MOTOR[0] * rated, OF_MOTOR[1] * rated
+        elif tag.role == "barometric_pressure" and ratings.pressure_kPa:
+            found[tag.name] = (1.0 - SITE) * ratings.pressure_kPa, (1.0 + SITE) * ratings.pressure_kPa
+    return found
+
+
+def _counts(series: Series) -> bool:
+    """Return whether the samples of a part of the record are those of a counter."""
+    order = np.argsort(series.time_s, kind="stable")
+    values = series.value[order][series.good[order]]
+    for part in np.array_split(values, PARTS):
+        step = np.diff(part)
+        step = step[step != 0.0]
+        falls = -step[step < 0.0]
+        if len(step) < FEWEST_STEPS or len(falls) > MOST_WRAPS * len(step):
+            continue
+        if not len(falls) or float((falls > 0.5 * np.ptp(part)).mean()) > 1.0 - LEAST_SHARE:
+            return True
+    return False
+
+
+def _at_work(values: Array) -> Array:
+    """Return the values without those at rest, also where a part of them is another range of ten times as much."""
+    top = float(np.quantile(values, 0.95))
+    above = values[values > 0.01 * top]
+    return values[values > 0.1 * min(top, float(np.median(above)) if len(above) else top)]
+
+
+def _flow_in_doubt(tag: Tag, values: Array, unit: Unit, design_kg_s: float) -> str:
+    """Return a sentence on a flow that is possible in its unit and near the design flow in another one, else ""."""
+    run = LIKELY_FLOW[0] * design_kg_s, LIKELY_FLOW[1] * design_kg_s
+    fitting = [] if _share(values, unit, run) >= LEAST_SHARE else _fitting(tag, values, run, "60 Hz")
+    if not fitting:
+        return ""
+    share = (unit.scale * float(np.median(values)) + unit.offset) / design_kg_s
+    return (
+        f"{tag.name} has a median of {share:.2g} times the design flow; it is used as it stands; if it is in "
+        f"{' or '.join(fitting[:SHOWN])}, give it that unit"
+    )
 
 
 def _in_percent(name: str, full_speed: str) -> Unit:
@@ -110,7 +218,12 @@ def _in_percent(name: str, full_speed: str) -> Unit:
 
 def _fitting(tag: Tag, values: Array, usual: tuple[float, float], full_speed: str) -> list[str]:
     """Return the units, one name of each, in which most of the values are usual."""
-    others = list(alternatives(tag.unit))
+    by_rank = (_usual_in(list(units), tag, values, usual, full_speed) for units in possible_units(tag.unit))
+    return next((found for found in by_rank if found), [])
+
+
+def _usual_in(others: list[str], tag: Tag, values: Array, usual: tuple[float, float], full_speed: str) -> list[str]:
+    """Return which of some units, one name of each, the values are usual in."""
     if tag.role in FANS:
         others += [name for name, unit in UNITS.items() if unit.dimension in ("share", *SPEEDS) and name != tag.unit]
     found: dict[tuple[float, float], str] = {}
@@ -127,110 +240,3 @@ def _fitting(tag: Tag, values: Array, usual: tuple[float, float], full_speed: st
 def _share(values: Array, unit: Unit, usual: tuple[float, float]) -> float:
     canonical = unit.scale * values + unit.offset
     return float(((canonical >= usual[0]) & (canonical <= usual[1])).mean())
-
-
-def without_strays(series: Sequence[Series], places: dict[str, str]) -> tuple[list[Series], list[str]]:
-    """Return the series without samples at times that are not of the record, and a sentence for each tag with some.
-
-    Such samples are few, and lie further from the others than these span: the clock of a logger that began anew in
-    1970, or a stamp with digits too many. Each minute up to them would be a row of the record.
-
-    Parameters
-    ----------
-    series
-        Raw samples.
-    places
-        File and line of each tag in the dictionary, for the sentences.
-    """
-    times = np.sort(np.concatenate([one.time_s for one in series])) if series else np.zeros(0)
-    low, high = 0, len(times)
-    while high - low > 1:
-        gap = np.diff(times[low:high])
-        at = low + int(np.argmax(gap)) + 1
-        keep_late = high - at >= at - low
-        kept = (at, high) if keep_late else (low, at)
-        few = (times[low], times[at - 1]) if keep_late else (times[at], times[high - 1])
-        apart = float(gap.max()) > times[kept[1] - 1] - times[kept[0]]
-        most = max(int(((one.time_s >= few[0]) & (one.time_s <= few[1])).sum()) for one in series)
-        if not apart or most >= FEWEST:
-            break
-        low, high = kept
-    if high - low in (0, len(times)):
-        return list(series), []
-    found, remarks = [], []
-    for one in series:
-        inside = (one.time_s >= times[low]) & (one.time_s <= times[high - 1])
-        found.append(one.rows(inside))
-        if not inside.all():
-            first = one.time_s[~inside][0]
-            remarks.append(
-                f"{places.get(one.tag.name, 'the dictionary')}: {(~inside).sum()} samples of {one.tag.name} lie "
-                f"further from the others than these span, first at {np.datetime64(int(first), 's')}Z; they are left "
-                f"out: check the logger's clock"
-            )
-    return found, remarks
-
-
-def order_and_silence(
-    series: Sequence[Series], places: dict[str, str], in_local_time: frozenset[str] = frozenset()
-) -> list[str]:
-    """Return a sentence for each tag whose stored times go back, or that is silent for days.
-
-    Parameters
-    ----------
-    series
-        Raw samples in the order of storing.
-    places
-        File and line of each tag in the dictionary, for the sentences.
-    in_local_time
-        Tags that were found to be in local time: their times go back an hour where its clock does.
-    """
-    import datetime
-
-    def day(time_s: float) -> str:
-        return datetime.datetime.fromtimestamp(time_s, datetime.UTC).strftime("%Y-%m-%d")
-
-    falls = {one.tag.name: _falls(one, one.tag.name in in_local_time) for one in series}
-    remarks, turned = [], [one for one in series if len(falls[one.tag.name])]
-    if turned:
-        first = turned[0]
-        back = falls[first.tag.name]
-        others = f", as do those of {len(turned) - 1} further tags" if len(turned) > 1 else ""
-        hours = sum(bool(_hour(-np.diff(one.time_s)[falls[one.tag.name]]).all()) for one in turned)
-        remedy = (
-            "as local time does where summer time ends: name the station's zone as timezone in the datasheet"
-            if hours > max(1, 0.5 * len(turned))
-            else "check the logger's clock"
-        )
-        remarks.append(
-            f"{places.get(first.tag.name, 'the dictionary')}: the times of {first.tag.name} go back {len(back)} times "
-            f"in the store, first in row {back[0] + 2} of its samples{others}; they were sorted: {remedy}"
-        )
-    silent: dict[tuple[str, str], list[str]] = {}
-    for one in series:
-        times = np.sort(one.time_s)
-        for k in np.flatnonzero(np.diff(times) > SILENT_DAYS * DAY_S):
-            silent.setdefault((day(times[k]), day(times[k + 1])), []).append(one.tag.name)
-    for (last, first_again), names in silent.items():
-        place = places.get(names[0], "the dictionary")
-        others = f", as have {len(names) - 1} further tags" if len(names) > 1 else ""
-        remarks.append(
-            f"{place}: {names[0]} has no sample from {last} to {first_again}{others}; ask the archive for these days, "
-            f"or take it that nothing is known of them"
-        )
-    return remarks
-
-
-def _falls(series: Series, local: bool) -> NDArray[np.intp]:
-    """Return the samples after which the stored times go back, without those of a clock in local time.
-
-    Samples without a number tell nothing: a reading that failed is stored at the time of the asking.
-    """
-    rows = np.flatnonzero(np.isfinite(series.value))
-    step = np.diff(series.time_s[rows])
-    return np.asarray(rows[:-1][(step < 0.0) & ~(local & _hour(-step))], dtype=np.intp)
-
-
-def _hour(fall_s: Array) -> NDArray[np.bool_]:
-    """Return which falls are of the hour of a clock change, less the interval of the samples."""
-    return np.asarray((fall_s >= 1800.0) & (fall_s <= 3600.0))

@@ -33,7 +33,16 @@ if TYPE_CHECKING:
     from twin.tower.shared_observations.basin import Drain, with_basin
     from twin.tower.shared_observations.evaporation import Balance, with_evaporation
     from twin.tower.smoother import WALK, estimate
-    from twin.tower.twin_file import BOUNDS, IDS, cell_network, cell_of, design_of, station_of_twin, value_of
+    from twin.tower.twin_file import (
+        BOUNDS,
+        IDS,
+        cell_network,
+        cell_of,
+        design_of,
+        site_pressure_of,
+        station_of_twin,
+        value_of,
+    )
     from twin.tower.windows import CONTEXT_S, TargetWindow, novelty, windows_of
 
 
@@ -98,6 +107,7 @@ __all__ = [
     "novelty",
     "plan_tests",
     "predict_cell",
+    "site_pressure_of",
     "solve_cell",
     "split",
     "station_of_twin",
@@ -134,7 +144,16 @@ __getattr__, __dir__ = lazy_names(
         "shared_observations.basin": ("Drain", "with_basin"),
         "shared_observations.evaporation": ("Balance", "with_evaporation"),
         "smoother": ("WALK", "estimate"),
-        "twin_file": ("BOUNDS", "IDS", "cell_network", "cell_of", "design_of", "station_of_twin", "value_of"),
+        "twin_file": (
+            "BOUNDS",
+            "IDS",
+            "cell_network",
+            "cell_of",
+            "design_of",
+            "site_pressure_of",
+            "station_of_twin",
+            "value_of",
+        ),
         "windows": ("CONTEXT_S", "TargetWindow", "novelty", "windows_of"),
     },
 )

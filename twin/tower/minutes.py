@@ -75,6 +75,7 @@ def minutes_of(
     m_w0: float,
     bypass_share: float,
     effects: Sequence[CellEffect] = (),
+    site_kPa: float = SEA_LEVEL_KPA,
 ) -> Minutes:
     """Return the minutes of an aligned record's columns.
 
@@ -90,6 +91,8 @@ def minutes_of(
         Of the water past the fill when open.
     effects
         Of the cell's model.
+    site_kPa
+        Air pressure of the site, where the record has none.
     """
     n = len(time_s)
 
@@ -98,7 +101,7 @@ def minutes_of(
 
     wet = np.where(np.isfinite(column("wet_C")), column("wet_C"), column("wet_rh_C"))
     speed = np.where(np.isfinite(column("fan_speed_pct")), column("fan_speed_pct"), column("fan_command_pct")) / 100.0
-    pressure = _filled(column("pressure_kPa"), SEA_LEVEL_KPA)
+    pressure = _filled(column("pressure_kPa"), site_kPa)
     share = bypass_share * np.clip(np.nan_to_num(column("bypass_pct")) / 100.0, 0.0, 1.0)
     dry = np.maximum(column("dry_C"), wet)
     inputs = Inputs(column("t_in_C"), column("m_w_kg_s"), np.clip(speed, 0.0, 1.2), dry, wet, pressure)

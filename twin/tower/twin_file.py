@@ -178,6 +178,11 @@ def value_of(network: Network, name: str) -> float:
     return float(network.values[network.ids.index(name)])
 
 
+def site_pressure_of(network: Network) -> float:
+    """Return the air pressure of the site by a twin's file, kPa."""
+    return float(network.inputs["pressure_kPa"].nominal)
+
+
 def _fixed(value: float, source: str) -> dict[str, Any]:
     return {"value": float(f"{value:.7g}"), "status": "fixed", "source": source}
 

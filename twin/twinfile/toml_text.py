@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import math
+import os
 import re
+import time
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
@@ -103,13 +106,40 @@ def save(network: Network, path: str | Path) -> Path:
     text = dump(network)
     text += f"checksum = {_toml(digest(text))}\n"
     try:
-        with path.open("x", encoding="utf-8") as handle:
-            handle.write(text)
+        _write_new(path, text)
     except FileExistsError:
         raise TwinFileError(f"{path}: exists already; a twin is never overwritten, give a new name") from None
     except OSError as error:
         raise TwinFileError(f"{path}: cannot be written ({error.strerror})") from None
     return path
+
+
+def _write_new(path: Path, text: str) -> None:
+    """Write a file that does not exist yet, whole or not at all; raises FileExistsError, or another OSError.
+
+    The text is written beside it first: a full disk or a killed process leaves no twin that is cut, and so none that
+    the next attempt may not overwrite.
+    """
+    unfinished = path.with_name(f".{os.getpid()}-{time.time_ns()}.part")
+    try:
+        with unfinished.open("x", encoding="utf-8") as handle:
+            handle.write(text)
+            handle.flush()
+            os.fsync(handle.fileno())
+        try:
+            os.link(unfinished, path)
+        except OSError as error:
+            if os.path.lexists(path):
+                raise FileExistsError from error
+            if error.errno not in _NO_LINKS:
+                raise
+            unfinished.rename(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+_NO_LINKS = frozenset({errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK})
+"""Errors of a file system without hard links."""
 
 
 def is_edited(text: str, checksum: str) -> bool:

@@ -13,9 +13,20 @@ import numpy as np
 from hil.record import RecordError
 from hil.tower.calibration.healthy import Healthy, clean_cell_of
 from hil.tower.calibration.prepared_cells import priors_of, site_of
-from hil.tower.station import Mistakes, read_cell, read_datasheet, read_notes, read_rows
+from hil.tower.station import Mistakes, checked_datasheet, read_cell, read_notes, read_rows
+from twin.historian import FAN_APART
 from twin.network import Network, Revision, digest
-from twin.tower import Array, CellModel, Inputs, cell_network, cell_of, design_of, minutes_of, value_of
+from twin.tower import (
+    Array,
+    CellModel,
+    Inputs,
+    cell_network,
+    cell_of,
+    design_of,
+    minutes_of,
+    site_pressure_of,
+    value_of,
+)
 from twin.tower.calibration import CalibrationError, fit_cell
 from twin.tower.clean_cell import CommissionedCell, CommissioningError, TestPoints, fit_clean_cell
 
@@ -41,13 +52,18 @@ RANGES = {
 }
 """Values that a test point can have in these units; others are in another unit, which the message names."""
 HINTS = {
-    "C": "it looks like degF: convert to degC",
-    "kPa": "it looks like hPa: divide by 10",
+    "C": "it looks like degF or K: convert to degC",
+    "kPa": "is it in hPa, bar, psi or mmHg? convert to kPa",
     "pct": "give it in %, 0 to 100",
 }
 FAR = {"t/h": 3.6**0.5, "lb": 2.2046**0.5, "hp": 1.341**0.5, "W": 1000.0**0.5}
 """Factors from which a quantity is nearer to one in a usual wrong unit than to itself: the root of that unit's factor.
 That of hp is near the service factor of motors, 1.15, too."""
+LEAST_LOAD = 0.25
+"""Least power of a fan at full speed as a share of its motor's: below, it would be in another unit."""
+SITE = 0.1
+"""Share by which the weather may move the pressure of a site."""
+SEA_LEVEL_KPA = 101.325
 MAINS_HZ = 60.0
 """Highest mains frequency: speeds that do not exceed it may be frequencies."""
 OUTLIER = (4.0, 0.3)
@@ -117,7 +133,7 @@ def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, 
     RecordError
         A file cannot be used, or the fit describes no cooling tower.
     """
-    sheet = read_datasheet(datasheet)
+    sheet = checked_datasheet(datasheet)
     design = sheet.get("design", {})
     water_flow = float(design.get("water_flow_kg_s", 0.0))
     if water_flow <= 0.0:
@@ -126,8 +142,10 @@ def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, 
         )
     loading = float(design.get("water_to_air", math.nan))
     share = float(sheet.get("bypass", {}).get("share_when_open", 0.0))
-    site = float(design.get("pressure_kPa", 101.325))
+    site = float(design.get("pressure_kPa", SEA_LEVEL_KPA))
     found = read_points(points, cell, site)
+    if "pressure_kPa" not in design:
+        site = float(np.median(found.points.inputs.pressure))
     flows, air = found.points.inputs.m_w / water_flow, found.points.m_a / (found.points.inputs.speed * water_flow)
     _refuse_far(points, cell, ("water_flow_kg_s", flows), f"design.water_flow_kg_s of {datasheet}", FAR["t/h"])
     if loading > 0.0:
@@ -142,13 +160,8 @@ def commission_cell(cell: int, datasheet: Path, points: Path) -> tuple[Network, 
     except CommissioningError as error:
         raise RecordError(f"{points}: cell {cell}: {error}") from error
     fitted = replace(fitted, remarks=(*fitted.remarks, *_outliers(fitted, found.names)))
-    rated = _rated_kW(datasheet, sheet)
-    if fitted.design.power + fitted.design.idle > FAR["hp"] * rated:
-        raise RecordError(
-            f"{points}: cell {cell} has a fan of {fitted.design.power + fitted.design.idle:.1f} kW at full speed, but "
-            f"fan.rated_power_kW of {datasheet} is {rated:g}; is fan_power_kW in "
-            f"{'W' if fitted.design.power + fitted.design.idle > FAR['W'] * rated else 'hp'}? correct one of the two"
-        )
+    _refuse_other_power(points, cell, fitted.design.power + fitted.design.idle, datasheet, sheet)
+    fitted = replace(fitted, remarks=(*fitted.remarks, *_pressures(points, datasheet, design, found.points)))
     evidence = f"{len(found.names)} test points, {fitted.rmse:.3f} K RMSE of the outlet"
     revision = Revision(
         made_by="hil tower commission",
@@ -177,7 +190,7 @@ def learn_healthy(record: Path, network: Network, span: tuple[float, float]) -> 
         raise RecordError(f"{cell.path}: holds no minute of the healthy span; give days of this record")
     columns = {name: values[rows] for name, values in cell.columns.items()}
     origin = {name: values[rows] for name, values in cell.origin.items()}
-    minutes = minutes_of(cell.time_s[rows], columns, origin, design.m_w0, share)
+    minutes = minutes_of(cell.time_s[rows], columns, origin, design.m_w0, share, site_kPa=site_pressure_of(network))
     clean = Healthy(*span, np.zeros(0), np.zeros((0, 0)))
     model = CellModel(design, site_of(read_notes(record), share))
     try:
@@ -209,15 +222,56 @@ def _outliers(fitted: CommissionedCell, names: Sequence[str]) -> list[str]:
     ]
 
 
-def _rated_kW(path: Path, sheet: dict[str, Any]) -> float:
-    """Return the rated power of a fan by the datasheet, kW; infinite where it is not given."""
+def _refuse_other_power(points: Path, cell: int, full_kW: float, path: Path, sheet: dict[str, Any]) -> None:
+    """Raise RecordError where the power of a fan at full speed is not that of the datasheet.
+
+    It may be as much below that of the motor as motors are larger than their fans, and as far off that at design as
+    pitch, belts and density make it.
+    """
+    bounds = {
+        "power_at_design_kW": (1.0 - FAN_APART, 1.0 + FAN_APART),
+        "rated_power_kW": (LEAST_LOAD, FAR["hp"]),
+    }
+    for key, (low, high) in bounds.items():
+        rated = _power_kW(path, sheet, key)
+        if rated is None or full_kW <= 0.0 or low <= full_kW / rated <= high:
+            continue
+        ratio = full_kW / rated
+        unit = "W" if ratio > FAR["W"] else "hp" if ratio > 1.0 else "MW" if ratio < 1.0 / FAR["W"] else "another unit"
+        raise RecordError(
+            f"{points}: cell {cell} has a fan of {full_kW:.3g} kW at full speed, but fan.{key} of {path} is "
+            f"{rated:g}; is fan_power_kW in {unit}? correct one of the two"
+        )
+
+
+def _power_kW(path: Path, sheet: dict[str, Any], key: str) -> float | None:
+    """Return a power of a fan by the datasheet, kW; None where it is not given."""
     fan = sheet.get("fan")
-    rated = fan.get("rated_power_kW") if isinstance(fan, dict) else None
+    rated = fan.get(key) if isinstance(fan, dict) else None
     if rated is None:
-        return math.inf
+        return None
     if not isinstance(rated, int | float) or not rated > 0.0:
-        raise RecordError(f"{path}: fan.rated_power_kW is {rated!r}; give a number above 0, or leave it out")
+        raise RecordError(f"{path}: fan.{key} is {rated!r}; give a number above 0, or leave it out")
     return float(rated)
+
+
+def _pressures(path: Path, datasheet: Path, design: dict[str, Any], points: TestPoints) -> list[str]:
+    """Return a sentence where nothing tells the air pressure, or the test points have another one than the site."""
+    middle = float(np.median(points.inputs.pressure))
+    if "pressure_kPa" not in design:
+        if bool((points.inputs.pressure == SEA_LEVEL_KPA).all()):
+            return [
+                f"neither {path.name} nor {datasheet.name} gives the air pressure; {SEA_LEVEL_KPA:g} kPa is taken, "
+                f"that of sea level: write design.pressure_kPa into the datasheet"
+            ]
+        return []
+    site = float(design["pressure_kPa"])
+    if abs(middle / site - 1.0) <= SITE:
+        return []
+    return [
+        f"the test points have {middle:.4g} kPa in the median and design.pressure_kPa of {datasheet.name} is {site:g}; "
+        f"correct one of the two"
+    ]
 
 
 def _number(path: Path, line: int, name: str, text: str) -> float:
@@ -227,7 +281,8 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
         value = math.nan
     if not math.isfinite(value):
         what = "empty" if not text.strip() else f"{text!r}, which is no number"
-        raise RecordError(f"{path}:{line}: {name} is {what}; give the value that was measured")
+        remedy = "write decimals with a point" if "," in text else "give the value that was measured"
+        raise RecordError(f"{path}:{line}: {name} is {what}; {remedy}")
     return value
 
 

@@ -33,6 +33,7 @@ from twin.tower import (
     cell_of,
     design_of,
     minutes_of,
+    site_pressure_of,
     station_of_twin,
     time_grid,
     value_of,
@@ -127,7 +128,15 @@ def _prepare(
     minutes_read = read_cell(record, cell)
     design, share = design_of(network), value_of(network, "cell.bypass_share")
     effects = effects_of(network)
-    minutes = minutes_of(minutes_read.time_s, minutes_read.columns, minutes_read.origin, design.m_w0, share, effects)
+    minutes = minutes_of(
+        minutes_read.time_s,
+        minutes_read.columns,
+        minutes_read.origin,
+        design.m_w0,
+        share,
+        effects,
+        site_pressure_of(network),
+    )
     flow = float(np.nanmedian(minutes.operation.inputs.m_w[minutes.known])) if minutes.known.any() else np.nan
     if not minutes.known.any():
         raise RecordError(

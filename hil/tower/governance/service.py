@@ -4,7 +4,7 @@ twins."""
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,7 @@ from hil.tower.governance.records import (
 from hil.tower.governance.reverted import hold_reverted
 from hil.tower.network import StationAnswers
 from hil.tower.station import StationNotes, iso, seconds
+from twin.historian import Regime
 from twin.tower import (
     DEVIATIONS,
     MOST_CONDITION,
@@ -188,11 +189,28 @@ def adopt_accepted(cells: Sequence[CellGovernance], state: str, network_mode: st
     return list(cells)
 
 
+def hidden_shares(columns: Mapping[str, Array], regime: NDArray[np.uint8]) -> Array:
+    """Return the share of the required channels that each minute lacks (n,).
+
+    A cell that is off lacks none: on standby for weeks its tags may be silent, and that is no drift of the record.
+
+    Parameters
+    ----------
+    columns
+        (n,) each, of the aligned record by name.
+    regime
+        (n,) of the record; a cell is off by its water or its state of service.
+    """
+    n = len(regime)
+    lacking = np.mean([~np.isfinite(columns.get(name, np.full(n, np.nan))) for name in REQUIRED], axis=0)
+    return np.asarray(np.where(regime == Regime.OFF, 0.0, lacking))
+
+
 def _judged(result: CellResult, notes: StationNotes) -> tuple[list[TargetWindow], list[Verdict], str]:
     design = design_of(result.network)
     model = CellModel(design, site_of(notes, value_of(result.network, "cell.bypass_share")))
     columns, n = result.record.columns, len(result.record.time_s)
-    hidden = np.mean([~np.isfinite(columns.get(name, np.full(n, np.nan))) for name in REQUIRED], axis=0)
+    hidden = hidden_shares(columns, result.minutes.regime)
     windows = windows_of(model, result.minutes, result.calibrated, hidden, result.second, not result.unused)
     dropped = _shares(result, windows, ~np.isfinite(columns.get("wet_C", np.full(n, np.nan))))
     bypass = _shares(result, windows, result.minutes.operation.bypass > 0.05)

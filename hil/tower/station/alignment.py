@@ -41,7 +41,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -68,6 +68,7 @@ from twin.historian import (
     order_and_silence,
     out_of_range,
     shared_minutes,
+    usual_at_work,
     without_strays,
 )
 from twin.historian.defects import Repaired, find_and_repair
@@ -121,7 +122,7 @@ def align(store: HistorianStore, station: Station, out: Path, stamps: str | None
     raw, remarks = read_series(store, station)
     remarks = [*ignored, *remarks]
     raw, strays = without_strays(raw, station.places)
-    raw, wrong = in_usual_units(raw, station.places, station.design_flow_kg_s, station.full_speed)
+    raw, wrong = in_usual_units(raw, station.places, station.ratings)
     repaired = find_and_repair(
         raw,
         timezone=station.timezone,
@@ -129,6 +130,7 @@ def align(store: HistorianStore, station: Station, out: Path, stamps: str | None
         pressure_kPa=station.pressure_kPa,
         events=station.events,
         full_speed=station.full_speed,
+        usual=usual_at_work(station.tags.values(), station.ratings),
     )
     local = frozenset(name for one in repaired.defects if one.kind == "local_time" for name in one.tags)
     if isinstance(store, CsvStore) and store.zoneless and stamps is None and not local:
@@ -141,8 +143,18 @@ def align(store: HistorianStore, station: Station, out: Path, stamps: str | None
     del raw
     outside = out_of_range(repaired.series, station.full_speed)
     repaired = replace(repaired, defects=tuple(sorted((*repaired.defects, *outside), key=lambda one: one.start_s)))
-    remarks += repaired.remarks
+    remarks += [*repaired.remarks, *_no_pressure(repaired.series, station)]
     return write_record(repaired, station, out, remarks)
+
+
+def _no_pressure(series: Sequence[Series], station: Station) -> list[str]:
+    """Return a sentence where neither a barometer nor the datasheet tells the air pressure of the site."""
+    if station.ratings.pressure_kPa or any(one.tag.role == "barometric_pressure" for one in series):
+        return []
+    return [
+        f"neither a barometer nor the datasheet gives the air pressure of the site; {station.pressure_kPa:g} kPa is "
+        f"taken, that of sea level: write design.pressure_kPa into the datasheet"
+    ]
 
 
 def _own_zone(store: HistorianStore, stamps: str | None) -> list[str]:
@@ -174,7 +186,7 @@ def surveyed(store: HistorianStore, station: Station) -> tuple[list[Series], lis
     """
     raw, remarks = read_series(store, station)
     raw, strays = without_strays(raw, station.places)
-    _, wrong = in_usual_units(raw, station.places, station.design_flow_kg_s, station.full_speed)
+    _, wrong = in_usual_units(raw, station.places, station.ratings)
     order = order_and_silence(raw, station.places, frozenset(one.tag.name for one in raw))
     return raw, [*station.remarks, *remarks, *strays, *order, *wrong]
 

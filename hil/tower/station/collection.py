@@ -28,6 +28,9 @@ FLUSH_S = 60.0
 crash."""
 CALENDAR_S = 1.0e9
 """Source time from which a device's clock shows the calendar, s since 1970: no device runs for thirty years."""
+SET_S = 86400.0
+"""Change of a device's calendar, s, that is taken at once: a clock that is set, or summer time. A larger one may be a
+register that was read wrongly, and counts when the clock goes on from it."""
 MOST_WAITING = 1_000_000
 """Samples that wait for a store that is away (some 30 MB); beyond, the collection ends with the store's error."""
 
@@ -45,14 +48,41 @@ class Collected:
 
 
 @dataclass
+class _Calendar:
+    """Calendar of the devices beside the clock of this machine; it may run faster, as that of a replay does."""
+
+    last: tuple[float, float] | None = None
+    """Time of this machine and of the calendar at the last poll that counted, s since 1970."""
+    rate: float = 1.0
+    doubtful: float | None = None
+    """Calendar far off its course."""
+
+    def expected_s(self, now_s: float) -> float:
+        """Return the calendar at a time of this machine by its course; that time where none was read yet."""
+        return now_s if self.last is None else self.last[1] + self.rate * (now_s - self.last[0])
+
+    def at(self, now_s: float, read_s: float) -> float:
+        """Return the time of a poll whose calendar was read as `read_s`; its course goes on from there if it counts."""
+        expected = self.expected_s(now_s)
+        passed = 0.0 if self.last is None else now_s - self.last[0]
+        usual = self.last is None or abs(read_s - expected) <= SET_S + abs(self.rate) * passed
+        if not usual and (self.doubtful is None or not 0.0 < read_s - self.doubtful <= abs(read_s - expected)):
+            self.doubtful = read_s if self.doubtful is None or read_s < self.doubtful else self.doubtful
+            return expected
+        if usual and self.last is not None and passed > 0.0:
+            self.rate = max((read_s - self.last[1]) / passed, 0.0)
+        self.last, self.doubtful = (now_s, read_s), None
+        return read_s
+
+
+@dataclass
 class _Waiting:
     """Samples that are not stored yet."""
 
     rows: dict[str, list[tuple[float, float, int]]] = field(default_factory=dict)
     since_s: float = 0.0
     count: int = 0
-    ahead_s: float = 0.0
-    """Calendar of the devices ahead of that of this machine."""
+    calendar: _Calendar = field(default_factory=lambda: _Calendar())
 
     def add(self, name: str, time_s: float, value: float, quality: int) -> None:
         self.rows.setdefault(name, []).append((time_s, value, quality))
@@ -188,7 +218,8 @@ async def collect(
 
 async def _poll(connection: RigConnection, waiting: _Waiting, done: Collected, now: Callable[[], float]) -> None:
     """Read all points once and keep them."""
-    stamp = now() + waiting.ahead_s
+    began = now()
+    stamp = waiting.calendar.expected_s(began)
     done.polls += 1
     try:
         snapshot = await connection.read()
@@ -203,8 +234,8 @@ async def _poll(connection: RigConnection, waiting: _Waiting, done: Collected, n
         done.last_failure = snapshot.faults[-1]
     calendar = [moment for moment in snapshot.source_time_s if moment >= CALENDAR_S]
     if calendar:
-        waiting.ahead_s += max(calendar) - stamp
-        stamp = max(calendar)
+        stamp = waiting.calendar.at(began, max(calendar))
     rows = zip(connection.points, snapshot.values, snapshot.quality, snapshot.source_time_s, strict=True)
     for point, value, quality, source in rows:
-        waiting.add(point.name, source if source >= CALENDAR_S else stamp, value, CODES[Quality(quality)])
+        own = source if source >= CALENDAR_S and abs(source - stamp) <= SET_S else stamp
+        waiting.add(point.name, own, value, CODES[Quality(quality)])

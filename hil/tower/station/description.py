@@ -19,6 +19,7 @@ from twin.historian import (
     OF_STATION,
     SPEEDS,
     Event,
+    Ratings,
     Tag,
     UnitError,
     full_speed_of,
@@ -61,15 +62,30 @@ class Station:
         return float(self.datasheet.get("design", {}).get("pressure_kPa", 101.325))
 
     @property
-    def design_flow_kg_s(self) -> float | None:
-        """Design water flow of a cell by the datasheet."""
-        found = self.datasheet.get("design", {}).get("water_flow_kg_s")
-        return float(found) if found else None
+    def ratings(self) -> Ratings:
+        """Ratings of the datasheet against which tags are held."""
+        design, fan = (_numbers(self.datasheet.get(name)) for name in ("design", "fan"))
+        cells = self.datasheet.get("cells_in_station")
+        return Ratings(
+            design.get("water_flow_kg_s"),
+            design.get("pressure_kPa"),
+            fan.get("power_at_design_kW"),
+            fan.get("rated_power_kW"),
+            self.full_speed,
+            cells if isinstance(cells, int) and cells > 0 else None,
+        )
 
     @property
     def full_speed(self) -> str:
         """Speed of a fan at 100 %, with its unit, such as `60 Hz`."""
         return str(self.datasheet.get("fan", {}).get("speed_100pct", DEFAULT_SPEED))
+
+
+def _numbers(section: object) -> dict[str, float]:
+    """Return the positive numbers of a section of the datasheet."""
+    if not isinstance(section, dict):
+        return {}
+    return {name: float(value) for name, value in section.items() if isinstance(value, int | float) and value > 0}
 
 
 def read_station(tags: Path, datasheet: Path | None = None, events: Path | None = None) -> Station:
@@ -159,13 +175,14 @@ def _tags(path: Path) -> tuple[dict[str, Tag], list[str], dict[str, str]]:
 def _refuse_unit(path: Path, line: int, row: dict[str, str], known_role: bool) -> None:
     """Raise RecordError for an unknown unit, and for one of another dimension than its role's."""
     name, role = row["tag"], row["role"]
+    wanted = (OF_CELL.get(role) or OF_STATION[role]).dimension if known_role else ""
+    usable = (wanted, *SPEEDS) if role.startswith("fan_speed") else (wanted,)
     try:
-        dimension = unit_of(row["unit"]).dimension
+        dimension = unit_of(row["unit"], usable if wanted else ()).dimension
     except UnitError as error:
         raise RecordError(f"{path}:{line}: {name}: {error}") from error
     if not known_role:
         return
-    wanted = (OF_CELL.get(role) or OF_STATION[role]).dimension
     if dimension != wanted and not (wanted == "share" and dimension in (*SPEEDS, "state")):
         raise RecordError(f"{path}:{line}: {name} is in {row['unit']}, a unit of {dimension}; a {role} is a {wanted}")
 

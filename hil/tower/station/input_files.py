@@ -24,16 +24,17 @@ DATASHEET: Shape = {
     "design?": {
         "water_flow_kg_s?": float,
         "water_to_air?": float,
-        "water_inlet_C?": float,
-        "wet_bulb_C?": float,
-        "range_K?": float,
+        "water_inlet_C?": (0.0, 70.0),
+        "wet_bulb_C?": (-30.0, 40.0),
+        "range_K?": (0.5, 50.0),
         "pressure_kPa?": float,
     },
     "fan?": {},
-    "bypass?": {"share_when_open?": float},
+    "bypass?": {"share_when_open?": (0.0, 1.0)},
     "basin?": {"volume_m3?": float, "compartments?": int, "first_compartment_cells?": [int]},
 }
-"""Keys of a datasheet that commands use by name; further ones are passed on as they are."""
+"""Keys of a datasheet that commands use by name, with the ranges of liquid water, weather and shares; further ones are
+passed on as they are."""
 
 
 def read_rows(path: Path, required: tuple[str, ...]) -> list[tuple[int, dict[str, str]]]:
@@ -47,7 +48,8 @@ def read_rows(path: Path, required: tuple[str, ...]) -> list[tuple[int, dict[str
     # Only line feeds and carriage returns end a line of a CSV table, not the further characters of `str.splitlines`.
     reader = csv.DictReader(io.StringIO(_text(path), newline=""))
     try:
-        missing = [name for name in required if name not in (reader.fieldnames or ())]
+        reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
+        missing = [name for name in required if name not in reader.fieldnames]
         if missing:
             have = ", ".join(reader.fieldnames or ()) or "nothing"
             other = next((words for mark, words in OTHER_MARKS.items() if mark in have), "")

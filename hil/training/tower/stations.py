@@ -256,7 +256,9 @@ def _cell(
     columns = {name: np.asarray(v) for name, v in aligned.columns.items()}
     origin = {n: columns[f"{n}_how"].astype(np.uint8) for n in columns if f"{n}_how" in columns}
     wide = {n: v.astype(np.float64) for n, v in columns.items() if not n.endswith(("_how", "_age_min"))}
-    minutes = minutes_of(aligned.minute_s, wide, origin, fitted.design.m_w0, bypass)
+    minutes = minutes_of(
+        aligned.minute_s, wide, origin, fitted.design.m_w0, bypass, site_kPa=float(design["pressure_kPa"])
+    )
     point = DesignPoint(float(design["water_inlet_C"]), float(design["wet_bulb_C"]), float(design["range_K"]), bypass)
     model = CellModel(fitted.design, point)
     sd = fitted.sd

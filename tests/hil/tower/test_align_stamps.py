@@ -13,7 +13,7 @@ import pytest
 
 from tests.hil.tower.made_store import hil, written_station
 from tests.twin.historian.made_station import START_S, ZONE, clean_store
-from twin.historian.plausible import without_strays
+from twin.historian.stamps import without_strays
 from twin.historian.tags import Series
 
 DAY_S = 86400.0

@@ -155,3 +155,19 @@ def test_a_store_that_is_away_for_too_long_ends_the_collection(monkeypatch: pyte
 
     with pytest.raises(HistorianAwayError, match="went away"):
         asyncio.run(collect(RIG, Away(), every_s=0.005, minutes=10.0 / 60))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("read", "stamps"),
+    [
+        ([100, 101, 4e9, 4e9, 104, 105], [100, 101, 102, 103, 104, 105]),
+        ([100, 101, -2e6, 103], [100, 101, 102, 103]),
+        ([100, 7300, 7301], [100, 7300, 7301]),
+        ([3e6, 3e6 + 1, 2, 3, 4], [3e6, 3e6 + 1, 3e6 + 2, 3, 4]),
+        ([100, 36100, 72100, 4e9, 144100], [100, 36100, 72100, 108100, 144100]),
+    ],
+)
+def test_a_calendar_that_was_read_wrongly_moves_no_sample(read: list[float], stamps: list[float]) -> None:
+    calendar, zero = module._Calendar(), 1.7e9
+    found = [calendar.at(1.8e9 + k, zero + one) - zero for k, one in enumerate(read)]
+    assert found == pytest.approx(stamps, abs=1e-3)

@@ -54,6 +54,62 @@ def test_a_fan_s_power_far_above_its_rating_is_named_with_its_likely_unit(
     assert f"is fan_power_kW in {unit}?" in refused(commissioned(plant, tmp_path / "c.toml", path, sheet))
 
 
+@pytest.mark.parametrize(
+    ("key", "factor", "unit"),
+    [
+        ("power_at_design_kW", 1.341, "hp"),
+        ("power_at_design_kW", 1e-3, "MW"),
+        ("rated_power_kW", 1e-3, "MW"),
+        ("rated_power_kW", 0.1, "another unit"),
+    ],
+)
+def test_a_fan_s_power_off_the_datasheet_either_way_is_refused(
+    plant: Path, tmp_path: Path, key: str, factor: float, unit: str
+) -> None:
+    path, sheet = tmp_path / "points.csv", tmp_path / "sheet.json"
+    sheet.write_text(json.dumps(SHEET | {"fan": {key: 40}}))
+    changed_points(path, lambda k, row: row.update(fan_power_kW=str(factor * float(row["fan_power_kW"]))))
+    said = refused(commissioned(plant, tmp_path / "c.toml", path, sheet))
+    assert f"fan.{key} of {sheet} is 40; is fan_power_kW in {unit}?" in said
+
+
+def test_an_air_pressure_that_nobody_gives_or_that_differs_is_named(plant: Path, tmp_path: Path) -> None:
+    path, sheet = tmp_path / "points.csv", tmp_path / "sheet.json"
+    changed_points(path, lambda k, row: row.update(pressure_kPa=""))
+    design = {name: value for name, value in SHEET["design"].items() if name != "pressure_kPa"}
+    sheet.write_text(json.dumps(SHEET | {"design": design}))
+    done = commissioned(plant, tmp_path / "a.toml", path, sheet)
+    assert done.exit_code == 0 and "gives the air pressure; 101.325 kPa is taken" in " ".join(done.output.split())
+    changed_points(path, lambda k, row: row.update(pressure_kPa="84.1"))
+    done = commissioned(plant, tmp_path / "b.toml", path, sheet)
+    assert "kPa" not in done.output.split("test points")[1] and "nominal = 84.1" in (tmp_path / "b.toml").read_text()
+    done = commissioned(plant, tmp_path / "c.toml", path)
+    assert "the test points have 84.1 kPa in the median" in " ".join(done.output.split())
+
+
+def test_blanks_in_a_heading_are_free_and_decimal_commas_are_named(plant: Path, tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    write_points(path)
+    path.write_text(path.read_text().replace(",water_inlet_C", ", water_inlet_C "))
+    assert commissioned(plant, tmp_path / "c.toml", path).exit_code == 0
+    changed_points(path, lambda k, row: row.update(water_flow_kg_s=row["water_flow_kg_s"].replace(".", ",")))
+    assert "write decimals with a point" in refused(commissioned(plant, tmp_path / "d.toml", path))
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value"),
+    [("bypass", "share_when_open", 70.0), ("design", "water_inlet_C", 96.8), ("design", "range_K", 0.0)],
+)
+def test_a_datasheet_out_of_range_is_named_with_its_file(
+    plant: Path, tmp_path: Path, section: str, key: str, value: float
+) -> None:
+    path, sheet = tmp_path / "points.csv", tmp_path / "sheet.json"
+    write_points(path)
+    sheet.write_text(json.dumps(SHEET | {section: {**SHEET.get(section, {}), key: value}}))
+    said = refused(commissioned(plant, tmp_path / "c.toml", path, sheet))
+    assert f"{sheet}: {section}.{key} is {value:g}, outside" in said and "correct the datasheet" in said
+
+
 def test_a_test_point_off_the_others_is_named_and_none_of_good_ones(plant: Path, tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     write_points(path)
@@ -67,7 +123,7 @@ def test_a_test_point_off_the_others_is_named_and_none_of_good_ones(plant: Path,
     ("changed", "says"),
     [
         ({"water_inlet_C": 60.0}, "outside 0 to 70; it looks like degF"),
-        ({"pressure_kPa": 900.0}, "it looks like hPa"),
+        ({"pressure_kPa": 900.0}, "is it in hPa, bar, psi or mmHg?"),
         ({"water_outlet_C": 15.0}, "is not below the inlet"),
         ({"entering_wet_bulb_C": 9.0}, "below the entering wet bulb"),
         ({"fan_speed_pct": -99.5}, "fan_speed_pct"),

@@ -9,6 +9,7 @@ import pytest
 
 from hil.tower.governance import Indicators, drift_alarms
 from hil.tower.governance.gates import GateEvidence, judge
+from hil.tower.governance.service import hidden_shares
 from twin.tower.identify import Identifiability
 from twin.tower.windows import TargetWindow
 
@@ -89,3 +90,11 @@ def test_an_unexplained_step_of_the_water_holds_everything_back_for_a_day() -> N
     zero = np.zeros(20)
     found = judge([window(k) for k in range(20)], zero, zero, GateEvidence((), (0.0,), (7200.0 * 2 + 10,), True))
     assert [bool(v.codes) for v in found] == [False] * 2 + [True] * 13 + [False] * 5
+
+
+def test_a_cell_on_standby_whose_tags_are_silent_hides_nothing() -> None:
+    missing = np.full(4, np.nan)
+    columns = {"m_w_kg_s": missing, "fan_speed_pct": missing, "fan_power_kW": missing, "t_in_C": missing}
+    columns |= {name: np.ones(4) for name in ("t_out_C", "dry_C", "pressure_kPa")}
+    off = np.array([0, 0, 2, 7], dtype=np.uint8)
+    np.testing.assert_allclose(hidden_shares(columns, off), [0.0, 0.0, 4 / 7, 4 / 7])

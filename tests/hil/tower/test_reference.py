@@ -12,7 +12,7 @@ from twin.historian.columns import OF_CELL, OF_STATION
 from twin.historian.events import INFLUENCE
 from twin.historian.minutes import How
 from twin.historian.regimes import Regime
-from twin.historian.units import UNITS
+from twin.historian.units import FURTHER_UNITS, UNITS
 from twin.tower.twin_file import BOUNDS
 
 PAGE = page("tower-record")
@@ -45,6 +45,8 @@ def test_roles_and_their_columns_are_those_of_the_code() -> None:
 def test_units_are_those_of_the_code() -> None:
     told = {name: row["Dimension"] for row in PAGE.rows["Units"] for name in _names(row["Units"])}
     assert told == {name: unit.dimension for name, unit in UNITS.items()}
+    further = {name: row["Dimension"] for row in PAGE.rows["Further units"] for name in _names(row["Units"])}
+    assert further == {name: unit.dimension for name, unit in FURTHER_UNITS.items()}
 
 
 def test_the_influence_of_events_is_that_of_the_code() -> None:

@@ -111,3 +111,50 @@ def test_a_flow_that_falls_by_the_factor_of_a_unit_with_its_witnesses_is_no_swit
 def test_none_is_invented(seed: int) -> None:
     found = _found(clean_store(np.random.default_rng(seed), 16.0))
     assert [one.says for one in found.defects] == []
+
+
+@pytest.mark.parametrize(("name", "factor"), [("F1", 10.0), ("F1", 0.1), ("JI1", 10.0), ("JP", 10.0)])
+def test_a_meter_that_reads_ten_times_as_much_is_in_no_other_unit(name: str, factor: float) -> None:
+    rng = np.random.default_rng(21)
+    store = clean_store(rng, 12.0)
+    late = START_S + 6.0 * DAY_S
+    spoilt = [
+        replace(one, value=np.where(one.time_s > late, factor * one.value, one.value)) if one.tag.name == name else one
+        for one in store
+    ]
+    repaired = _found(spoilt)
+    assert [one.kind for one in repaired.defects] in (["range_change"], [])
+    healthy, found = (next(one for one in part if one.tag.name == name) for part in (store, repaired.series))
+    early = found.time_s < late
+    np.testing.assert_allclose(
+        found.value[early], np.interp(found.time_s[early], healthy.time_s, healthy.value), atol=1e-6
+    )
+
+
+def test_spans_of_another_scale_begin_before_they_end() -> None:
+    rng = np.random.default_rng(22)
+    store = clean_store(rng, 12.0)
+    late = START_S + 6.0 * DAY_S
+    spoilt = [
+        replace(one, value=np.where(one.time_s > late, 10.0 * one.value, one.value)) if one.tag.name == "JP" else one
+        for one in store
+    ]
+    assert all(one.start_s <= one.end_s for one in _found(spoilt).defects)
+
+
+@pytest.mark.parametrize("late_is_wrong", [True, False])
+def test_of_two_units_with_one_edge_the_datasheet_tells_the_wrong_one(late_is_wrong: bool) -> None:
+    rng = np.random.default_rng(23)
+    store, middle = clean_store(rng, 12.0), START_S + 6.0 * DAY_S
+    spoilt = [
+        replace(one, value=np.where((one.time_s > middle) == late_is_wrong, 1000.0 * one.value, one.value))
+        if one.tag.name == "JI1"
+        else one
+        for one in store
+    ]
+    repaired = find_and_repair(spoilt, timezone=ZONE, full_speed="50 Hz", usual={"JI1": (0.4, 60.0)})
+    (found,) = repaired.defects
+    assert found.kind == "unit_switch" and found.says == "JI1 is in W instead of kW"
+    assert (found.start_s > middle - DAY_S) == late_is_wrong
+    (power,) = (one for one in repaired.series if one.tag.name == "JI1")
+    assert float(power.value.max()) < 60.0

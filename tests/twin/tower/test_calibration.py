@@ -151,3 +151,10 @@ def test_an_inspection_says_nothing_inside_its_interval_and_pulls_from_outside(
     joint = (mean / sd**2 + value / spread**2) / (1 / sd**2 + 1 / spread**2)
     assert (abs(joint - mean) > 0.2 * sd) == moves
     assert abs(joint) <= abs(mean) + 1e-9
+
+
+def test_a_record_without_a_barometer_has_the_pressure_of_its_site() -> None:
+    made = made_cell(0.5)
+    columns = {**made.columns, "pressure_kPa": np.full(len(made.time_s), np.nan)}
+    minutes = minutes_of(made.time_s, columns, made.origin, M_W0, 0.0, site_kPa=83.4)
+    assert (minutes.operation.inputs.pressure == 83.4).all()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from twin.historian.defects.clock_changes import local_by_change
+from twin.historian.defects.clock_course import moved_clocks
 from twin.historian.defects.clocks import Shift, changed_clocks, corrected, repeated_hours, shifted_clocks
 from twin.historian.defects.humidity import latched, wet_bulb_defects
 from twin.historian.defects.quality import bad_quality
@@ -16,7 +17,7 @@ from twin.historian.defects.repeats import repeated_stamps
 from twin.historian.defects.silence import communication_gaps, interface_groups
 from twin.historian.defects.stuck import constant_value, stuck_values
 from twin.historian.defects.swaps import swapped, undo_swap
-from twin.historian.defects.unit_switch import Switch, TagEdges, converted, unit_switches
+from twin.historian.defects.unit_switch import Switch, TagEdges, converted, turned, unit_switches
 from twin.historian.events import Event
 from twin.historian.tags import Defect, Series, longest_interval_s
 
@@ -48,6 +49,7 @@ def find_and_repair(
     pressure_kPa: float = 101.325,
     events: Sequence[Event] = (),
     full_speed: str = "60 Hz",
+    usual: Mapping[str, tuple[float, float]] | None = None,
 ) -> Repaired:
     """Return the series without what their defects spoil, and the defects, all times in UTC.
 
@@ -70,6 +72,8 @@ def find_and_repair(
         Of the plant; entries of maintenance support a swap.
     full_speed
         Speed of a fan at 100 %, with its unit: its share and its frequency are units of one quantity.
+    usual
+        Values at work by tag, in the record's unit, as the datasheet gives them.
     """
     found: list[Defect] = []
     contradicted: list[str] = []
@@ -85,6 +89,7 @@ def find_and_repair(
     raw = _on_time(raw, others.found)
     clocks += others.found
     usable = [one.usable() for one in raw]
+    courses = [one.says for one in moved_clocks(usable)]
     found += [defect for defect, _ in clocks]
     found += [defect for one in raw for defect in bad_quality(one)]
     found += repeated_stamps(raw)
@@ -98,7 +103,11 @@ def find_and_repair(
     found += gaps
     series = _without(usable, gaps)
     edges = TagEdges(full_speed)
-    switches = unit_switches(series, full_speed, edges)
+    by_name = {one.tag.name: one for one in series}
+    switches = [
+        turned(one, by_name[one.defect.tags[0]], (usual or {}).get(one.defect.tags[0]))
+        for one in unit_switches(series, full_speed, edges)
+    ]
     found += [switch.defect for switch in switches]
     stuck = [defect for one in series for defect in _stuck(one, switches, series)]
     constant = _constant(series, stuck)
@@ -126,7 +135,7 @@ def find_and_repair(
     return Repaired(
         tuple(series),
         tuple(sorted(found, key=lambda d: (d.start_s, d.kind, d.tags))),
-        (*contradicted, *others.remarks, *constant),
+        (*contradicted, *others.remarks, *courses, *constant),
     )
 
 

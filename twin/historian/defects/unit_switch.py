@@ -42,6 +42,12 @@ it."""
 OTHER_FACTOR, SCATTERS = 0.12, 2.0
 """Share of what the switch moves, and deviations of the rows, by which the converted span may be apart from the rest:
 5 % of a fan's speed in Hz, 4 % of a power in hp."""
+BESIDE, NEXT = 48, 4
+"""Rows of a quarter of an hour on either side of an edge whose levels are compared, half a day; and within how many of
+them it must be at work, an hour."""
+OFF_FACTOR, SURELY = 0.25, 3.0
+"""Logarithm of the ratio of the levels, and median deviations of it, beyond which a factor is none of a unit: operation
+moves a level by less in half a day, or varies meanwhile."""
 FEWEST_ROWS = 8
 """Rows of a quarter of an hour at work by which a span is judged: `LEAST_S`."""
 OUTSIDE = 0.7
@@ -128,6 +134,47 @@ def converted(series: Series, switch: Switch) -> Series:
     inside = (series.time_s >= switch.defect.start_s) & (series.time_s <= switch.defect.end_s)
     again = (unit.scale * series.value + unit.offset - own.offset) / own.scale
     return replace(series, value=np.where(inside, again, series.value))
+
+
+def turned(switch: Switch, series: Series, usual: tuple[float, float] | None) -> Switch:
+    """Return a switch, or that of the rest of the record where the datasheet shows the span to be right.
+
+    With one edge in the record, a span in another unit and the rest in the inverse one look alike.
+
+    Parameters
+    ----------
+    switch
+        Of the tag.
+    series
+        Samples of the tag, in the unit of the dictionary.
+    usual
+        Values at work that the quantity has, in the record's unit; None where nobody knows.
+    """
+    own, time_s = unit_of(series.tag.unit), series.time_s
+    inside = (time_s >= switch.defect.start_s) & (time_s <= switch.defect.end_s)
+    first, last = bool(inside[0]), bool(inside[-1])
+    if usual is None or own.offset != 0.0 or switch.unit.offset != 0.0 or first == last:
+        return switch
+    factor = switch.unit.scale / own.scale
+    shares = []
+    for value in (np.where(inside, factor, 1.0), np.where(inside, 1.0, 1.0 / factor)):
+        reading = own.scale * value * series.value
+        work = reading[reading > AT_REST * np.quantile(reading, 0.95)]
+        shares.append(float(((work >= usual[0]) & (work <= usual[1])).mean()) if len(work) else 0.0)
+    inverse = next(
+        (
+            (name, unit)
+            for name, unit in alternatives(series.tag.unit).items()
+            if np.isclose(unit.scale * switch.unit.scale, own.scale**2, rtol=1e-2)
+        ),
+        None,
+    )
+    if inverse is None or shares[1] < MOSTLY or shares[0] > 1.0 - MOSTLY:
+        return switch
+    rest = time_s[~inside]
+    says = f"{series.tag.name} is in {inverse[0]} instead of {series.tag.unit}"
+    defect = replace(switch.defect, start_s=float(rest[0]), end_s=float(rest[-1]), says=says)
+    return Switch(defect, inverse[1])
 
 
 def _switches(table: TagPanel, edges_of: TagEdges) -> list[Switch]:
@@ -262,12 +309,34 @@ def _best_span(
         predicted, _ = predict(np.where(inside, other, x))
         odds_of_rows = _judged(x, other, (plain[0], predicted), inside, unit.scale / own.scale, odds_of >= SURE_EDGES)
         total_odds = odds_of + odds_of_rows - float(np.log(len(pairs)))
-        if total_odds >= LEAST_ODDS:
+        if total_odds >= LEAST_ODDS and not (own.offset == unit.offset == 0.0 and _of_another_factor(x, other, inside)):
             valid.append((total_odds, low, high))
     if not valid:
         return None
     most, low, high = max(valid)
     return _Span(unit, name, low, high, most)
+
+
+def _of_another_factor(x: Array, converted: Array, inside: Mask) -> bool:
+    """Return whether the converted readings of a span (m,) are on another level than the readings beside each edge.
+
+    A change of range by another factor than that of units can be near enough to it to explain most of the leap.
+    Readings that vary as much as the levels differ tell nothing.
+    """
+    value = np.where(inside, converted, x)
+    edges = np.flatnonzero(np.diff(inside.astype(np.int8)) != 0) + 1
+    rest = AT_REST * float(np.nanquantile(np.abs(value), 0.95)) if np.isfinite(value).any() else np.inf
+    off = []
+    for at in edges.tolist():
+        sides = value[max(at - BESIDE, 0) : at], value[at : at + BESIDE]
+        work = [side > rest for side in sides]
+        if min(rows.sum() for rows in work) < FEWEST_ROWS or not (work[0][-NEXT:].any() and work[1][:NEXT].any()):
+            return False  # it may have started anew at another level
+        parts = [np.log(side[rows]) for side, rows in zip(sides, work, strict=True)]
+        scatter = max(float(np.median(np.abs(part - np.median(part)))) for part in parts)
+        apart = abs(float(np.median(parts[1]) - np.median(parts[0])))
+        off.append(apart > max(OFF_FACTOR, SURELY * scatter))
+    return bool(off) and all(off)
 
 
 def _inside(n: int, rows: Array) -> Mask:

@@ -35,7 +35,7 @@ def scale_spans(series: Series, leaps: Sequence[Leap]) -> list[OtherScale]:
     in_order = sorted(leaps, key=lambda one: one.after_s)
     usual = float(np.median(canonical(series)[series.time_s < in_order[0].after_s])) if in_order else 0.0
     for leap in in_order:
-        if (factor, constant) != (1.0, 0.0):
+        if (factor, constant) != (1.0, 0.0) and leap.before_s >= since:
             found.append(OtherScale(since, leap.before_s, factor, constant))
         total = factor * leap.factor, constant * leap.factor + leap.constant
         off, left = ((f - 1.0) * usual + c for f, c in ((factor, constant), total))

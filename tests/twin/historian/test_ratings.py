@@ -1,0 +1,113 @@
+"""Tags that are possible in their unit and contradict the datasheet or another tag throughout."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.twin.historian.made_station import clean_store
+from twin.historian.plausible import in_usual_units
+from twin.historian.ratings import Ratings
+from twin.historian.tags import Array, Series
+
+RATINGS = Ratings(water_flow_kg_s=180.0, pressure_kPa=95.0, fan_kW=40.0, motor_kW=45.0, cells=2)
+
+
+@pytest.fixture(scope="module")
+def clean() -> list[Series]:
+    return clean_store(np.random.default_rng(5), 8.0)
+
+
+def judged(
+    clean: list[Series], changes: dict[str, Callable[[Array], Array]], units: dict[str, str] | None = None
+) -> tuple[set[str], str]:
+    """Names of the tags that were left out, and the remarks, of series whose values and units are changed."""
+    series = [
+        replace(
+            one,
+            tag=replace(one.tag, unit=(units or {}).get(one.tag.name, one.tag.unit)),
+            value=changes.get(one.tag.name, lambda v: v)(one.value),
+        )
+        for one in clean
+    ]
+    kept, remarks = in_usual_units(series, {}, RATINGS)
+    return {one.tag.name for one in series} - {one.tag.name for one in kept}, " ".join(remarks)
+
+
+def test_a_station_without_a_wrong_unit_has_no_remark(clean: list[Series]) -> None:
+    assert judged(clean, {}) == (set(), "")
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "unit"),
+    [
+        ("JI1", lambda v: 1000.0 * v, "W"),
+        ("JI1", lambda v: v / 0.293071, "kBTU/h"),
+        ("SI1", lambda v: 0.6 * v, "Hz"),
+        ("QH", lambda v: v / 3.516853, "ton"),
+        ("QH", lambda v: v / 0.293071, "kBTU/h"),
+        ("PB", lambda v: v * 0.750062, "mmHg"),
+        ("PB", lambda v: v * 0.0145038, "psi"),
+        ("T1OUT", lambda v: 10.0 * v, "0.1 degC"),
+        ("T1IN", lambda v: v + 273.15, "K"),
+    ],
+)
+def test_a_tag_in_another_unit_is_left_out_with_the_unit_to_give(
+    clean: list[Series], name: str, change: Callable[[Array], Array], unit: str
+) -> None:
+    left_out, remarks = judged(clean, {name: change})
+    assert left_out == {name}
+    assert name in remarks and unit in remarks
+
+
+@pytest.mark.parametrize("names", [("TDB",), ("TWB",), ("TDB", "TWB")])
+def test_a_bulb_in_degc_that_is_called_degf_does_not_go_with_the_humidity(
+    clean: list[Series], names: tuple[str, ...]
+) -> None:
+    left_out, remarks = judged(clean, {}, dict.fromkeys(names, "degF"))
+    assert left_out == set(names)
+    assert "K off that of TDB" in remarks and "degC" in remarks
+
+
+def test_a_power_in_horsepower_is_named_and_used(clean: list[Series]) -> None:
+    left_out, remarks = judged(clean, {"JI1": lambda v: v / 0.7457})
+    assert left_out == set() and "JI1 is 1.3" in remarks and "give it the unit hp" in remarks
+
+
+def test_a_flow_far_from_the_design_flow_is_named_and_used(clean: list[Series]) -> None:
+    left_out, remarks = judged(clean, {name: (lambda v: v / 3.61) for name in ("F1", "F2")})
+    assert left_out in (set(), {"F1", "F2"}) and "F1" in remarks and "kg/s" in remarks
+
+
+def test_a_meter_whose_range_changed_is_in_no_other_unit_throughout(clean: list[Series]) -> None:
+    for name in ("JI1", "JP"):
+        left_out, remarks = judged(clean, {name: lambda v: np.where(np.arange(len(v)) > 0.55 * len(v), 10.0 * v, v)})
+        assert left_out == set() and remarks == ""
+
+
+@pytest.mark.parametrize("factor", [10.0, 0.1])
+@pytest.mark.parametrize("late", [True, False])
+def test_the_wrong_part_of_an_exchanged_flow_meter_is_left_out(clean: list[Series], factor: float, late: bool) -> None:
+    middle = clean[0].time_s[0] + 4.3 * 86400.0
+    series = [
+        replace(one, value=np.where((one.time_s > middle) == late, factor * one.value, one.value))
+        if one.tag.name == "F1"
+        else one
+        for one in clean
+    ]
+    kept, (remark,) = in_usual_units(series, {}, RATINGS)
+    (flow,) = (one for one in kept if one.tag.name == "F1")
+    (whole,) = (one for one in clean if one.tag.name == "F1")
+    assert "as of a meter that was exchanged" in remark
+    assert abs(len(flow.time_s) - ((whole.time_s > middle) != late).sum()) < 60
+    assert np.quantile(flow.value, 0.95) == pytest.approx(np.quantile(whole.value, 0.95), rel=0.1)
+
+
+@pytest.mark.parametrize("wrap", [1e9, 65536.0, 1000.0])
+@pytest.mark.parametrize("name", ["F1", "JI1"])
+def test_a_totaliser_is_no_rate(clean: list[Series], name: str, wrap: float) -> None:
+    left_out, remarks = judged(clean, {name: lambda v: np.round(np.cumsum(np.abs(v)) / 12.0, 1) % wrap})
+    assert left_out == {name} and "as a totaliser does" in remarks
