@@ -151,7 +151,7 @@ def test_the_gap_is_there_for_everyone_to_see(story):
     assert (segment["number"], segment["exit_status"]) == (2, "done")
     assert segment["why"] == "the run was cut while running"
     assert segment["profile_s"] == story.cut
-    assert segment["restore_s"] > 600  # a new virtual rig is cold
+    assert segment["restore_s"] > 120  # a new virtual rig is cold, and the run was cut at a random moment
     record = read_record(story.folder.record)
     jump = int(np.argmax(np.diff(record.time_s)))
     assert record.time_s[jump] == story.cut

@@ -130,29 +130,3 @@ def test_other_candidates_than_a_constant_conductance_are_offered() -> None:
     assert {(c.kind, c.where) for c in own} == {("coupling", "hot")}
     changed = {next(iter(c.changes)).removeprefix("plates.") for c in own}
     assert changed == {"UA_100", "film", "film_from", "film_exponent"}
-
-
-BRIDGE = '[elements.bridge]\nkind = "conduction"\nfrom = "hot"\nto = "cold"\nresistance = 0.01\n'
-
-
-def test_a_conduction_between_two_flow_paths_may_follow_both() -> None:
-    u = np.array([0.0, 50.0, 20.0, 20.0])
-
-    def into(text: str) -> float:
-        net = parse(FOUR + text)
-        return float(np.array(right_hand_side(net)(T, u, net.values))[2] * 1500.0)
-
-    alone = into(BRIDGE.replace("0.01", "1.0e6"))
-    assert into(BRIDGE) - alone == pytest.approx(800.0, rel=1e-3)
-    following = into(BRIDGE + "flow_exponent = 0.8\n") - alone
-    assert following == pytest.approx(800.0 * math.sqrt(0.5 * 0.2) ** 0.8, rel=1e-3)
-
-
-def test_only_a_conduction_between_two_flow_paths_is_suspected_to_follow_a_flow() -> None:
-    from twin.discovery.effects.catalogue import catalogue
-
-    def follow(text: str) -> list[str]:
-        return [c.driver for c in catalogue(parse(FOUR + text)) if any("flow_exponent" in k for k in c.changes)]
-
-    assert follow(BRIDGE) == ["pump_speed"]
-    assert follow(PLATES + BRIDGE.replace("cold", "heater")) == []

@@ -1,11 +1,7 @@
-"""Heat conducted between two nodes: Q = (T_a - T_b) / R * f^flow_exponent.
+"""Heat conducted between two nodes: Q = (T_a - T_b) / R.
 
-f is the flow as a share of its nominal one; where the ends stand on two flow paths, the geometric mean of both. It
-counts only with a flow_exponent, for what passes through films of water. An `exchanger` says the same in more detail.
-
-Source: the resistance term of eq. 1 of Energies 2026, 19, 2452; films with a power of the flow (Incropera,
-Fundamentals of Heat and Mass Transfer, 7th ed., eq. 8.60). The lower bound of R keeps the smallest time constant of a
-network finite; below it two nodes are one.
+Source: the resistance term of eq. 1 of Energies 2026, 19, 2452. The lower bound of R keeps the smallest time
+constant of a network finite; below it two nodes are one.
 """
 
 from __future__ import annotations
@@ -16,7 +12,6 @@ from typing import ClassVar
 
 from twin.elements.base import Element, Names, ParameterSpec, place
 from twin.elements.candidates import Candidate, EffectSize, Sites
-from twin.elements.flow import LEAST_SHARE, share_of_flow
 from twin.elements.fragments import Fragment
 
 
@@ -27,7 +22,6 @@ class Conduction(Element):
     kind: ClassVar[str] = "conduction"
     parameters: ClassVar[tuple[ParameterSpec, ...]] = (
         ParameterSpec("resistance", "K/W", None, 2.0e-3, 1.0e6, "tunable", "effective resistance between the two"),
-        ParameterSpec("flow_exponent", "1", 0.0, 0.0, 1.0, "fixed", "0 through solids, 0.8 of a turbulent film"),
     )
 
     a: str = place("node", "one end", key="from")
@@ -62,38 +56,21 @@ class Conduction(Element):
     def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         now = sites.values[f"{self.name}.resistance"]
         says = f"has {{value}} more resistance to {self.a} than when commissioned"
-        resistance = self.parameter_candidate(
-            "resistance",
-            "coupling",
-            sites.places[self.b],
-            "temperature_difference",
-            EffectSize("K/W", 0.1 * now, -0.9 * now, 20.0 * now),
-            says,
+        return (
+            self.parameter_candidate(
+                "resistance",
+                "coupling",
+                sites.places[self.b],
+                "temperature_difference",
+                EffectSize("K/W", 0.1 * now, -0.9 * now, 20.0 * now),
+                says,
+            ),
         )
-        flows = [e.name for e in sites.elements for node in (self.a, self.b) if node in e.feeds()]
-        if len(set(flows)) < 2:
-            return (resistance,)
-        # Between the water of two flow paths there are films.
-        exponent = sites.values[f"{self.name}.flow_exponent"]
-        of_flow = self.parameter_candidate(
-            "flow_exponent",
-            "coupling",
-            sites.places[self.b],
-            "pump_speed",
-            EffectSize("1", 0.1, -exponent, 1.0 - exponent),
-            f"exchanges heat with {self.a} with the flow by a power that differs by {{value}}",
-        )
-        return resistance, of_flow
 
     def emit(self, n: Names) -> Fragment:
         g, q = n.local("g"), n.local("q")
-        flows = list(dict.fromkeys(n.streams[node].flow for node in (self.a, self.b) if node in n.streams))
-        conductance = f"1.0 / {n.par('resistance')}"
-        if flows and n.constant("flow_exponent") != 0.0:
-            logs = " + ".join(f"log(max({share_of_flow(n.of(flow))}, {LEAST_SHARE}))" for flow in flows)
-            conductance += f" * exp({n.par('flow_exponent')} / {len(flows)}.0 * ({logs}))"
         return Fragment(
-            sample=((g, conductance),),
+            sample=((g, f"1.0 / {n.par('resistance')}"),),
             stage=((q, f"{g} * ({n.temperature(self.a)} - {n.temperature(self.b)})"),),
             heat={self.a: f"-{q}", self.b: q},
             conductance={self.a: g, self.b: g},

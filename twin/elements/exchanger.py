@@ -26,9 +26,10 @@ from typing import ClassVar
 
 from twin.elements.base import Element, Names, ParameterSpec, place
 from twin.elements.candidates import Candidate, EffectSize, Sites
-from twin.elements.flow import LEAST_SHARE, share_of_flow
 from twin.elements.fragments import Export, Fragment
 
+LEAST_SHARE = 1.0e-3
+"""Flow below which a film stays as at this one, as a share of the nominal flow: the power of no flow is finite."""
 LEAST_RATE = 1.0e-3
 """Least heat capacity rate, W/K: no flow at all carries no heat, without a division by zero."""
 LEAST_APART = 1.0e-6
@@ -83,7 +84,7 @@ class Exchanger(Element):
         flows = {side: n.of(n.streams[node].flow) for side, node in (("a", self.a), ("b", self.b))}
         sample = []
         for side, flow in flows.items():
-            share = f"max({share_of_flow(flow)}, {LEAST_SHARE})"
+            share = f"max({flow.local('q')} * 60.0 / {flow.par('nominal')}, {LEAST_SHARE})"
             sample.append((n.local(f"film_{side}"), f"exp(-{exponent} * log({share}))"))
         of_a, film = n.par("film_from"), n.par("film")
         films = f"{of_a} * {n.local('film_a')} + (1.0 - {of_a}) * {n.local('film_b')}"

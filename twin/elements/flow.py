@@ -42,8 +42,6 @@ WATER_DENSITY = 0.997
 """kg/L at 25 degC (IAPWS-95)."""
 LEAST_PERCENT = 0.1
 """Pump speed below which a film stays as at this one, %: the power of a pump at rest is finite."""
-LEAST_SHARE = 1.0e-3
-"""Flow below which a film between two flow paths stays as at this one, as a share of the nominal flow."""
 FILM_EXPONENT = ParameterSpec(
     "film_exponent", "1", 0.4, 0.0, 1.0, "fixed", "of hA in the flow: 0 laminar, 0.8 turbulent (Incropera 8.4, 8.5)"
 )
@@ -167,11 +165,6 @@ class Flow(Element):
             conductance={node: f"{mcp} * {share[node]}" for node in self.path},
             exports={"mass_flow": Export("kg/s", f"{flow} * {WATER_DENSITY!r}")},
         )
-
-
-def share_of_flow(flow: Names) -> str:
-    """Return the expression of a flow as a share of its nominal one, from the names of its element."""
-    return f"{flow.local('q')} * 60.0 / {flow.par('nominal')}"
 
 
 def _arriving(n: Names, pipe: str, water: str) -> str:
