@@ -74,6 +74,16 @@ def test_other_networks_are_simulated_as_by_many_small_steps(text: str, explicit
     assert np.sqrt((off**2).mean()) < 5e-4
 
 
+@pytest.mark.parametrize("text", [THIN_WALL, THIN_WALL + CONVECTION], ids=["linear", "power law"])
+def test_an_interval_of_hours_is_simulated_to_its_end(text: str) -> None:
+    network, hours = parse(text), 3600.0 * np.arange(0.0, 80.0, 8.0)
+    inputs = np.tile([700.0, 80.0, 20.0], (len(hours), 1))
+    fine = np.arange(0.0, hours[-1] + 1.0, 48.0)
+    expected = simulate(network, fine, np.tile(inputs[0], (len(fine), 1)), WARM)[np.searchsorted(fine, hours)]
+    assert np.diff(expected[:, 2])[:3].min() > 1.0  # the tank goes on warming up for days
+    assert simulate(network, hours, inputs, WARM) == pytest.approx(expected, abs=0.01)
+
+
 def test_readings_are_smooth_in_the_fast_volumes_parameters() -> None:
     network, (time, inputs) = parse(THIN_WALL), steps(60)
     kernel = Kernel(network, ("wall.capacitance",))

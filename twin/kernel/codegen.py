@@ -25,7 +25,7 @@ from typing import Literal
 
 from twin.kernel.delays import NEVER, SLOTS, delay_lines
 from twin.kernel.functions import ARRIVED, EXP, LOG, PIECES, SUBSTEPS
-from twin.kernel.integrators import DECAYED, PAIRS, Integrator, LinearlyImplicit
+from twin.kernel.integrators import DECAYED, MOST_STEPS, PAIRS, Integrator, LinearlyImplicit
 from twin.kernel.source_text import NAME, KernelText, indent, renamed
 from twin.network import Network
 from twin.network.affine import lane_free_call, names_in
@@ -37,8 +37,6 @@ FEW_LANES = 16
 """Particles in a block of kernels that try few hypotheses at a time, as a diagnosis does: a half-empty block costs as
 much as a full one.
 """
-MOST_STEPS = 1.0e6
-"""Largest number of substeps in one sample interval."""
 INSTANT = "1.0e-3"
 """Interval, s, over which the mean of a memory is its value at an instant, and rounding leaves eleven digits."""
 ALWAYS = -1
@@ -252,9 +250,7 @@ class KernelGenerator:
             slow += [f"    for l in range({lanes}):", f"        norm_of_all = max(norm_of_all, W[{norm} + l])"]
         slow += ["if fast > 0:", f"    for l in range({lanes}):", f"        limit = max(limit, W[{at} + l])"]
         stepwise = [
-            # Beyond LONGEST / limit the inputs have been constant for so many time constants that more of
-            # the same changes nothing; without the cut a gap of months would take minutes.
-            "dt = min(dt, LONGEST / limit)",
+            *self.integrator.cut,
             f"steps = max(int(np.ceil({self.integrator.steps} - 1e-9)), 1)",
             "h = dt / steps",
         ]

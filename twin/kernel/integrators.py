@@ -23,6 +23,8 @@ ORDER, STEP_LIMIT = 5, 0.2
 """Order of the series of a small network, and the largest step * rate for it; also the limit for Runge-Kutta."""
 STABLE, DECAYED = 2.0, 24.0
 """Largest step * (norm of the rates) of the same, with a margin to 2.78, and the substeps beyond which it counts."""
+MOST_STEPS = 1.0e6
+"""Largest number of substeps in one sample interval."""
 IMPLICIT_STEPS = 16.0
 """Substeps of the linearly implicit method: of a mode of any speed, at most 2.2e-4 of a jump is left at the end of the
 interval beyond the exact share (maximum over z < 0 of |R(z / N)^N - exp z|)."""
@@ -75,6 +77,15 @@ class Integrator:
     def bounds(self) -> tuple[tuple[tuple[str, str], ...], tuple[str, ...]] | None:
         """Return names with expressions, and in these rates whose largest, `norm_of_all`, bounds steps; or None."""
         return self.system.norm if self.stable > self.limit else None
+
+    @property
+    def cut(self) -> list[str]:
+        """Return the line that shortens an interval of too many substeps.
+
+        Its inputs have then been constant for so many time constants that more of the same changes nothing. Without the
+        cut a gap of months would take minutes.
+        """
+        return ["dt = min(dt, LONGEST / limit)"]
 
     @property
     def steps(self) -> str:
@@ -292,6 +303,12 @@ class LinearlyImplicit(Integrator):
         """Return the declared bounds on the rates of what is not affine, or None."""
         rest = (self.system.rest_bound(j) for j, (_, rest) in enumerate(self.system.slopes) if rest != ZERO)
         return None if self.system.linear else ((), tuple(dict.fromkeys(rest)))
+
+    @property
+    def cut(self) -> list[str]:
+        """Return the line that shortens an interval of too many substeps; none of an affine network is too long."""
+        longest = f"{MOST_STEPS * REST_LIMIT!r} / max(norm_of_all, 1e-30)"
+        return [] if self.system.linear else [f"dt = min(dt, {longest})"]
 
     @property
     def steps(self) -> str:

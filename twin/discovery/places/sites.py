@@ -90,7 +90,9 @@ def sites_of(network: Network, score_test: ScoreTest, laws: Sequence[CandidateLa
 
 
 def _present(network: Network, candidate: Candidate) -> float:
-    """Return the present value of the one parameter that a candidate changes, in the candidate's unit."""
+    """Return the present value of the one parameter that a candidate changes, in its unit; 0 if it changes several."""
+    if len(candidate.changes) != 1:
+        return 0.0
     ((name, weight),) = candidate.changes.items()
     return abs(network.parameters[name].value / weight)
 
