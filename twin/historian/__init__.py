@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from twin.historian.checks import FAN_APART
     from twin.historian.columns import OF_CELL, OF_STATION
     from twin.historian.events import INFLUENCE, Event, disturbed, influence_of
-    from twin.historian.plausible import in_usual_units, usual_at_work
+    from twin.historian.plausible import SITE_PRESSURE, in_usual_units, usual_at_work
     from twin.historian.ratings import Ratings
     from twin.historian.record import CellMinutes, cell_minutes, out_of_range, shared_minutes
     from twin.historian.regimes import START_UP_MIN, Regime, start_ups
@@ -27,6 +27,7 @@ __all__ = [
     "INFLUENCE",
     "OF_CELL",
     "OF_STATION",
+    "SITE_PRESSURE",
     "SPEEDS",
     "START_UP_MIN",
     "CellMinutes",
@@ -57,7 +58,7 @@ __getattr__, __dir__ = lazy_names(
         "checks": ("FAN_APART",),
         "columns": ("OF_CELL", "OF_STATION"),
         "events": ("Event", "INFLUENCE", "disturbed", "influence_of"),
-        "plausible": ("in_usual_units", "usual_at_work"),
+        "plausible": ("SITE_PRESSURE", "in_usual_units", "usual_at_work"),
         "ratings": ("Ratings",),
         "record": ("CellMinutes", "cell_minutes", "out_of_range", "shared_minutes"),
         "regimes": ("Regime", "START_UP_MIN", "start_ups"),

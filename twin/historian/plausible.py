@@ -42,7 +42,7 @@ OF_WATER = (
 )
 WHOLE, NEVER = 0.98, (np.inf, np.inf)
 """Share of the samples that are usual in a unit in which all of the record is; and a range in which none is."""
-SITE = 0.1
+SITE_PRESSURE = 0.1
 """Share by which the air pressure of a site may be off that of its datasheet: the lowest and the highest at sea level
 are 14 % and 7 % off the mean, and 20 min of a storm are not most of a record."""
 SHARE = (0.4, 1.3)
@@ -95,30 +95,18 @@ def in_usual_units(
     ratings = ratings or Ratings()
     design_flow_kg_s, full_speed = ratings.water_flow_kg_s, ratings.full_speed
     kept, remarks = [], []
-    for one in series:
+    for whole in series:
+        one, remark = _of_one_meter(whole, design_flow_kg_s)
+        if remark:
+            remarks.append(f"{places.get(whole.tag.name, 'the dictionary')}: {remark}")
+        if one is None:
+            continue
         usual = USUAL.get(one.tag.role)
         values = one.value[one.good]
-        if unit_of(one.tag.unit).dimension in COUNTED and _counts(one):
-            place = places.get(one.tag.name, "the dictionary")
-            remarks.append(
-                f"{place}: {one.tag.name} only rises, but for falls over most of its range, as a totaliser does; it is "
-                f"left out: map the tag of the rate, or store its increase per time"
-            )
-            continue
         if one.tag.role == "water_flow" and design_flow_kg_s:
             usual = FLOW[0] * design_flow_kg_s, FLOW[1] * design_flow_kg_s
         if one.tag.role == "water_flow" and len(values):
             values = _at_work(values)
-        change = exchanged_meter(one, design_flow_kg_s) if one.tag.role == "water_flow" else None
-        if change is not None:
-            when, place = np.datetime64(int(change.time_s), "s"), places.get(one.tag.name, "the dictionary")
-            one = change.right(one)
-            values = _at_work(one.value[one.good])
-            remarks.append(
-                f"{place}: {one.tag.name} goes from {change.before:.4g} to {change.after:.4g} {one.tag.unit} at "
-                f"{when}Z and stays there, as of a meter that was exchanged; its samples "
-                f"{'from then on' if change.late_is_wrong else 'before'} are left out: correct them in the store"
-            )
         unit = _in_percent(one.tag.unit, full_speed)
         top = float(np.quantile(values, 0.95)) if len(values) else 0.0
         if one.tag.role in FANS and SHARE[0] < top and values.max() < SHARE[1]:
@@ -135,10 +123,10 @@ def in_usual_units(
                 remarks.append(f"{places.get(one.tag.name, 'the dictionary')}: {doubt}")
         if one.tag.role in OF_WATER and _share(values, unit, usual) < 1.0 - LEAST_SHARE and fitting:
             # Not a part of the record in another unit: all of it is usual in that one.
-            whole = [name for name in fitting if _share(values, _in_percent(name, full_speed), usual) > WHOLE]
-            usual, fitting = (usual, fitting) if not whole else (NEVER, whole)
+            all_of_it = [name for name in fitting if _share(values, _in_percent(name, full_speed), usual) > WHOLE]
+            usual, fitting = (usual, fitting) if not all_of_it else (NEVER, all_of_it)
         if one.tag.role == "barometric_pressure" and ratings.pressure_kPa:
-            run = (1.0 - SITE) * ratings.pressure_kPa, (1.0 + SITE) * ratings.pressure_kPa
+            run = (1.0 - SITE_PRESSURE) * ratings.pressure_kPa, (1.0 + SITE_PRESSURE) * ratings.pressure_kPa
             if _share(values, unit, run) < LEAST_SHARE and (better := _fitting(one.tag, values, run, full_speed)):
                 usual, fitting = run, better
         if _share(values, unit, usual) >= LEAST_SHARE:
@@ -171,8 +159,26 @@ def usual_at_work(tags: Iterable[Tag], ratings: Ratings) -> dict[str, tuple[floa
         elif tag.role == "fan_power" and (rated := ratings.motor_kW or ratings.fan_kW):
             found[tag.name] = OF_MOTOR[0] * rated, OF_MOTOR[1] * rated
         elif tag.role == "barometric_pressure" and ratings.pressure_kPa:
-            found[tag.name] = (1.0 - SITE) * ratings.pressure_kPa, (1.0 + SITE) * ratings.pressure_kPa
+            found[tag.name] = (1.0 - SITE_PRESSURE) * ratings.pressure_kPa, (1.0 + SITE_PRESSURE) * ratings.pressure_kPa
     return found
+
+
+def _of_one_meter(series: Series, design_kg_s: float | None) -> tuple[Series | None, str]:
+    """Return the samples of a meter that are one rate, None of a totaliser, and a sentence on what is left out."""
+    name, unit = series.tag.name, series.tag.unit
+    if unit_of(unit).dimension in COUNTED and _counts(series):
+        return None, (
+            f"{name} only rises, but for falls over most of its range, as a totaliser does; it is left out: map the "
+            f"tag of the rate, or store its increase per time"
+        )
+    change = exchanged_meter(series, design_kg_s) if series.tag.role == "water_flow" else None
+    if change is None:
+        return series, ""
+    return change.right(series), (
+        f"{name} goes from {change.before:.4g} to {change.after:.4g} {unit} at "
+        f"{np.datetime64(int(change.time_s), 's')}Z and stays there, as of a meter that was exchanged; its samples "
+        f"{'from then on' if change.late_is_wrong else 'before'} are left out: correct them in the store"
+    )
 
 
 def _counts(series: Series) -> bool:

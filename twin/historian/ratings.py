@@ -16,7 +16,7 @@ from twin.historian.checks import FAN_APART
 from twin.historian.regimes import FOLLOWS_PCT, STANDSTILL_PCT
 from twin.historian.tags import Array, Series, longest_interval_s
 from twin.historian.units import SPEEDS, UNITS, WATER_DENSITY, Unit, full_speed_of, possible_units, unit_of
-from twin.tower.air import wet_bulb
+from twin.tower.air import SEA_LEVEL_KPA, wet_bulb
 
 AT_WORK = 0.4
 """Share of full speed from which the power of a fan is compared: below, losses at any speed count."""
@@ -346,7 +346,7 @@ def _of_weather(of: Mapping[tuple[str, int | None], Series], ratings: Ratings) -
 
     def closure(units: tuple[Unit, Unit]) -> float:
         t_dry, t_wet = (unit.scale * value[rows] + unit.offset for unit, value in zip(units, values, strict=True))
-        pressure = np.full(len(t_dry), ratings.pressure_kPa or 101.325)
+        pressure = np.full(len(t_dry), ratings.pressure_kPa or SEA_LEVEL_KPA)
         possible = (t_dry > -40.0) & (t_dry < 50.0)
         if not possible.mean() > MOSTLY:
             return float("inf")

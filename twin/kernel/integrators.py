@@ -383,7 +383,10 @@ class LinearlyImplicit(Integrator):
         return lines, entries
 
     def _own_slopes(self) -> list[str]:
-        """Return the lines with the derivative of what is not affine in each state's rate by the state itself."""
+        """Return the lines with the derivative of what is not affine in each state's rate by the state itself.
+
+        Water behind a delay, which does not depend on the state, counts as 0 degC: the order holds for any slope.
+        """
         rest = {j: text for j, (_, text) in enumerate(self.system.slopes) if text != ZERO}
         lines = list[str]()
         for j in (None, *rest) if rest else ():

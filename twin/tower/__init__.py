@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from twin.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from twin.tower.air import Array, wet_bulb
+    from twin.tower.air import SEA_LEVEL_KPA, Array, wet_bulb
     from twin.tower.calibration.baselines import BASELINES, CellDataset, split, without_discrepancy
     from twin.tower.calibration.cell_fit import Calibrated, CalibrationError, Fitted, fit_cell, predict_cell
     from twin.tower.calibration.outlet_interval import NORMAL, QUANTILE, WET_C, WINDOW_S
@@ -59,6 +59,7 @@ __all__ = [
     "NAMES",
     "NORMAL",
     "QUANTILE",
+    "SEA_LEVEL_KPA",
     "SLOW",
     "UNITS",
     "WALK",
@@ -124,7 +125,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "air": ("Array", "wet_bulb"),
+        "air": ("Array", "SEA_LEVEL_KPA", "wet_bulb"),
         "calibration.baselines": ("BASELINES", "CellDataset", "split", "without_discrepancy"),
         "calibration.cell_fit": ("Calibrated", "CalibrationError", "Fitted", "fit_cell", "predict_cell"),
         "calibration.outlet_interval": ("NORMAL", "QUANTILE", "WET_C", "WINDOW_S"),

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.first_order_lag import lagged
-from twin.tower.air import Array
+from twin.tower.air import SEA_LEVEL_KPA, Array
 from twin.tower.cell import Inputs
 from twin.tower.effects import CellEffect, patterns
 from twin.tower.estimates import Blocks
 from twin.tower.model import Operation
 from twin.tower.smoother import BLOCK_S
 
-SEA_LEVEL_KPA = 101.325
 FOLLOWING_MIN = 1.5
 """Time constant with which the flume and its thermometer follow the fill: film and flume a minute, thermowell half of
 one."""

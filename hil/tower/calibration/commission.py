@@ -14,9 +14,10 @@ from hil.record import RecordError
 from hil.tower.calibration.healthy import Healthy, clean_cell_of
 from hil.tower.calibration.prepared_cells import priors_of, site_of
 from hil.tower.station import Mistakes, checked_datasheet, read_cell, read_notes, read_rows
-from twin.historian import FAN_APART
+from twin.historian import FAN_APART, SITE_PRESSURE
 from twin.network import Network, Revision, digest
 from twin.tower import (
+    SEA_LEVEL_KPA,
     Array,
     CellModel,
     Inputs,
@@ -61,9 +62,6 @@ FAR = {"t/h": 3.6**0.5, "lb": 2.2046**0.5, "hp": 1.341**0.5, "W": 1000.0**0.5}
 That of hp is near the service factor of motors, 1.15, too."""
 LEAST_LOAD = 0.25
 """Least power of a fan at full speed as a share of its motor's: below, it would be in another unit."""
-SITE = 0.1
-"""Share by which the weather may move the pressure of a site."""
-SEA_LEVEL_KPA = 101.325
 MAINS_HZ = 60.0
 """Highest mains frequency: speeds that do not exceed it may be frequencies."""
 OUTLIER = (4.0, 0.3)
@@ -80,7 +78,7 @@ class CommissioningPoints:
     names: tuple[str, ...]
 
 
-def read_points(path: Path, cell: int, site_kPa: float = 101.325) -> CommissioningPoints:
+def read_points(path: Path, cell: int, site_kPa: float = SEA_LEVEL_KPA) -> CommissioningPoints:
     """Return the test points of a cell.
 
     Raises
@@ -266,7 +264,7 @@ def _pressures(path: Path, datasheet: Path, design: dict[str, Any], points: Test
             ]
         return []
     site = float(design["pressure_kPa"])
-    if abs(middle / site - 1.0) <= SITE:
+    if abs(middle / site - 1.0) <= SITE_PRESSURE:
         return []
     return [
         f"the test points have {middle:.4g} kPa in the median and design.pressure_kPa of {datasheet.name} is {site:g}; "

@@ -26,6 +26,7 @@ from twin.historian import (
     influence_of,
     unit_of,
 )
+from twin.tower import SEA_LEVEL_KPA
 
 REQUIRED = ("tag", "unit", "role")
 DEFAULT_SPEED = "60 Hz"
@@ -59,7 +60,7 @@ class Station:
     @property
     def pressure_kPa(self) -> float:
         """Pressure of the site by its datasheet; of sea level where it is not given."""
-        return float(self.datasheet.get("design", {}).get("pressure_kPa", 101.325))
+        return float(self.datasheet.get("design", {}).get("pressure_kPa", SEA_LEVEL_KPA))
 
     @property
     def ratings(self) -> Ratings:

@@ -20,6 +20,7 @@ from twin.historian.defects.swaps import swapped, undo_swap
 from twin.historian.defects.unit_switch import Switch, TagEdges, converted, turned, unit_switches
 from twin.historian.events import Event
 from twin.historian.tags import Defect, Series, longest_interval_s
+from twin.tower.air import SEA_LEVEL_KPA
 
 __all__ = ["Repaired", "find_and_repair"]
 
@@ -46,7 +47,7 @@ def find_and_repair(
     *,
     timezone: str | None = None,
     stamps: str | None = None,
-    pressure_kPa: float = 101.325,
+    pressure_kPa: float = SEA_LEVEL_KPA,
     events: Sequence[Event] = (),
     full_speed: str = "60 Hz",
     usual: Mapping[str, tuple[float, float]] | None = None,
