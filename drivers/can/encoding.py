@@ -56,6 +56,7 @@ class FrameEncoder:
     """
 
     def __init__(self, name: str, bus: CanBus, points: Sequence[Point]) -> None:
+        self._clock = bus.uptime
         self._messages: list[tuple[Bound, list[_Place]]] = []
         self._places: dict[str, _Place] = {}
         for bound in bind(name, bus, points):
@@ -91,8 +92,12 @@ class FrameEncoder:
         return 0.0 if place.signal.is_float else abs(float(place.signal.scale) * place.point.scale)
 
     def frames(self, values: Mapping[str, float]) -> list[EncodedFrame]:
-        """Return the frames that carry `values`, by point name and in the unit of each point."""
+        """Return the frames that carry `values`, by point name and in the unit of each point.
+
+        The frame with the bus's `uptime` comes last: whoever has received that time has received all values of it.
+        """
         found: list[EncodedFrame] = []
+        last: list[EncodedFrame] = []
         for bound, places in self._messages:
             identifier = _identifier(bound)
             selections: list[dict[str, int]] = []
@@ -100,18 +105,19 @@ class FrameEncoder:
                 if place.selection and place.selection not in selections:
                     selections.append(place.selection)
             for selection in selections or [{}]:
-                number = 0
+                number, has_clock = 0, False
                 for place in places:
                     if place.selection.items() <= selection.items():
                         point = place.point
+                        has_clock |= point.name == self._clock
                         physical = (values[point.name] - point.offset) / point.scale
                         number = _put(number, place.signal, _raw(place.signal, physical), bound.length)
                 for name, chosen in selection.items():
                     multiplexor = next(s for s in bound.message.signals if s.name == name)
                     number = _put(number, multiplexor, chosen, bound.length)
                 data = number.to_bytes(bound.length, "big")
-                found.append(EncodedFrame(identifier, bound.match.extended, data))
-        return found
+                (last if has_clock else found).append(EncodedFrame(identifier, bound.match.extended, data))
+        return found + last
 
 
 def _selection(by_name: Mapping[str, Any], signal: Any) -> dict[str, int]:

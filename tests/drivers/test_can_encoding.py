@@ -78,3 +78,11 @@ def test_a_parameter_group_gets_priority_and_source(dbc: Path) -> None:
     entry = CanMessage(name="ENGINE", pgn=0xFEF2, source=0x27)
     with pytest.raises(Exception, match="has PGN"):
         FrameEncoder("can", CanBus(transport="socketcand", dbc=dbc, message=(entry,)), [coolant])
+
+
+def test_the_frame_with_the_clock_comes_last(dbc: Path) -> None:
+    """Whoever waits for the time of a step then has all of its values; a read call may end between two frames."""
+    bus = CanBus(transport="socketcand", dbc=dbc, uptime="whole")
+    points = [point("whole"), point("coolant", "ENGINE")]
+    frames = FrameEncoder("can", bus, points).frames({"whole": 7.0, "coolant": 20.0})
+    assert [frame.extended for frame in frames] == [True, False]
