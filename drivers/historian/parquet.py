@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -15,6 +13,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from drivers.historian.arrow import PER_SECOND, refuse_other_types, samples_by_tag, table_of
+from drivers.historian.parts import Parts, superseded
 from drivers.historian.protocol import COLUMNS, HistorianError, HistorianFailedError, Samples, empty
 from drivers.historian.write_errors import why_unwritten
 
@@ -30,7 +29,6 @@ class ParquetStore:
 
     def __init__(self, path: Path, *, create: bool = False) -> None:
         self.path = path
-        self._parts = 0
         if not path.exists():
             if not create:
                 raise HistorianError(f"{path}: there is no historian; check the path")
@@ -38,6 +36,7 @@ class ParquetStore:
                 path.mkdir(parents=True)
             except OSError as error:
                 raise HistorianFailedError(f"{path}: the folder cannot be made: {why_unwritten(error)}") from error
+        self._parts = Parts(path) if create and path.is_dir() else None
         files = self._files()
         if not files and not create:
             raise HistorianError(f"{path}: no Parquet file here has the columns {', '.join(COLUMNS)}; {self._seen()}")
@@ -83,17 +82,13 @@ class ParquetStore:
             return
         if self.path.is_file():
             raise HistorianError(f"{self.path} is a single file and is only read; give a folder to append to")
-        table = table_of(samples)
-        self._parts += 1
-        final = self.path / f"samples-{time.time_ns()}-{os.getpid()}-{self._parts}.parquet"
-        unfinished = final.with_suffix(".part")
+        if self._parts is None:
+            self._parts = Parts(self.path)
         try:
-            pq.write_table(table, unfinished, compression="zstd")
-            unfinished.replace(final)
+            self._parts.append(table_of(samples))
         except OSError as error:
-            unfinished.unlink(missing_ok=True)
             raise HistorianFailedError(
-                f"{final}: {rows} samples could not be written: {why_unwritten(error)}"
+                f"{self.path}: {rows} samples could not be written: {why_unwritten(error)}"
             ) from error
 
     def close(self) -> None:
@@ -110,7 +105,8 @@ class ParquetStore:
     def _files(self) -> list[Path]:
         if self.path.is_file():
             return [self.path] if self._columns(self.path) >= set(COLUMNS) else []
-        found = sorted(self.path.glob("*.parquet")) + sorted(self.path.glob("*/*.parquet"))
+        own = set(self.path.glob("*.parquet"))
+        found = sorted(own - superseded(own)) + sorted(self.path.glob("*/*.parquet"))
         return [path for path in found if self._columns(path) >= set(COLUMNS)]
 
     def _columns(self, path: Path) -> set[str]:
