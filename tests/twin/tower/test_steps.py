@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.tower.change_detection.steps import find_steps, with_fan
+from twin.tower.change_detection.steps import DAY_S, find_steps, with_fan
 
 SCAN_S = 300.0
 
@@ -102,3 +102,36 @@ def test_a_step_is_the_fan_s_where_its_power_steps_in_the_same_minutes(power_at_
     (found,) = with_fan(steps, t, power)
     assert found.kind == kind and found.alone
     assert (found.power == pytest.approx(-0.06, abs=0.01)) == (kind == "fan")
+
+
+@pytest.mark.parametrize("stop_days", [1.2, 9.0])
+@pytest.mark.parametrize(("moved_K", "kind"), [(0.0, "thermometer"), (0.6, "water")])
+def test_a_step_while_the_cell_stands_is_found_when_it_runs_again(stop_days: float, moved_K: float, kind: str) -> None:
+    """Thermometers are exchanged while a cell stands, for longer than any level before it lasts."""
+    rng = np.random.default_rng(18)
+    for _ in range(20):
+        t, r = residuals(rng, 24 * 12)
+        after = t >= 6 * DAY_S
+        clock_s = t + stop_days * DAY_S * after
+        second = residuals(rng, 24 * 12)[1] + moved_K * after
+        found = [s for s in find_steps(clock_s, r + 0.6 * after, second) if s.lasting]
+        assert [s.kind for s in found] == [kind]
+        assert found[0].start_s == clock_s[after][0]
+        assert found[0].alarm_s - found[0].start_s <= 18 * 60
+
+
+def test_a_long_stop_alone_is_no_step() -> None:
+    rng = np.random.default_rng(19)
+    for _ in range(20):
+        t, r = residuals(rng, 24 * 12)
+        assert not [s for s in find_steps(t + 3.0 * DAY_S * (t >= 6 * DAY_S), r) if s.lasting]
+
+
+def test_a_fan_that_was_changed_while_the_cell_stood_is_no_thermometer() -> None:
+    rng = np.random.default_rng(20)
+    t, r = residuals(rng, 24 * 12)
+    after = t >= 6 * DAY_S
+    clock_s = t + 4.0 * DAY_S * after
+    power = rng.normal(0.0, 0.01, len(t)) - 0.1 * after
+    steps = [s for s in find_steps(clock_s, r + 0.6 * after) if s.lasting]
+    assert [s.kind for s in with_fan(steps, clock_s, power)] == ["fan"]

@@ -5,6 +5,9 @@ the bias alone. Where a second thermometer in the basin makes the same step, the
 fan's power steps in the same minutes, beyond what speed and air explain, the air flow has: the step opens a jump of the
 air.
 
+A cell that stands ages neither its fill nor its thermometer, and work on either is done while it stands. So levels
+before and after a long stop are compared as if it had been a short one (`running_time`).
+
 Source: Page, Biometrika 41 (1954) 100 (cumulative sum); Basseville & Nikiforov, Detection of Abrupt Changes, 1993,
 ch. 2.
 """
@@ -38,6 +41,8 @@ SCAN_SHARE = 0.01
 """Share of the intervals between readings that are no longer than a scan."""
 CONFIRM_S = 3 * 3600.0
 DAY_S = 86400.0
+LONG_STOP_S = 0.5 * DAY_S
+"""Time without a steady reading that counts as `APART_S`, so that a level before it is a level of the day before."""
 UNUSUAL = 4.0
 """Standard deviations of the usual differences between one day's median and the next, above which a step stands: the
 twin's own error moves from day to day with the weather, a thermometer's step stays."""
@@ -75,9 +80,10 @@ def find_steps(time_s: Array, residual: Array, second: Array | None = None) -> l
         Residual of a second thermometer of the same water at the same times, K, or None.
     """
     there = np.isfinite(residual)
-    t, r = time_s[there], residual[there]
-    if len(t) < 2 * FEWEST:
+    clock_s, r = time_s[there], residual[there]
+    if len(clock_s) < 2 * FEWEST:
         return []
+    t = running_time(clock_s)
     other = None if second is None else second[there]
     sigma = 1.4826 * float(np.median(np.abs(np.diff(r)))) / np.sqrt(2.0)
     slack, limit = max(SLACK_K, NOISE[0] * sigma), max(LIMIT_K, NOISE[1] * sigma)
@@ -95,15 +101,33 @@ def find_steps(time_s: Array, residual: Array, second: Array | None = None) -> l
         x = value[i] - level[i]
         began_up, began_down = (at[i] if up == 0.0 else began_up), (at[i] if down == 0.0 else began_down)
         # One reading counts for no more than the limit less a little: a single wrong one is no step.
-        step = min(abs(x) - slack, 0.7 * limit)
-        up, down = (max(up + step, 0.0), 0.0) if x > 0.0 else (0.0, max(down + step, 0.0))
+        more = min(abs(x) - slack, 0.7 * limit)
+        up, down = (max(up + more, 0.0), 0.0) if x > 0.0 else (0.0, max(down + more, 0.0))
         if max(up, down) >= limit:
             start = float(began_up if up > down else began_down)
             least = max(CONFIRMED * SMALLEST_K, UNUSUAL * _usual(*differences, start))
-            found.append(_step(t, r, other, start, float(at[i]), float(level[i]), least))
+            step = _step(t, r, other, start, float(at[i]), float(level[i]), least)
+            first, alarm = (_clock_time(clock_s, t, one) for one in (step.start_s, step.alarm_s))
+            found.append(replace(step, start_s=first, alarm_s=alarm))
             up = down = 0.0
             quiet_until = at[i] + CONFIRM_S
     return found
+
+
+def running_time(time_s: Array) -> Array:
+    """Return times (n,), s, in which a pause of more than `LONG_STOP_S` lasts `APART_S`."""
+    gaps = np.diff(time_s)
+    cut = np.where(gaps > LONG_STOP_S, gaps - APART_S, 0.0)
+    found: Array = time_s - np.concatenate([[0.0], np.cumsum(cut)])
+    return found
+
+
+def _clock_time(clock_s: Array, running_s: Array, at: float) -> float:
+    """Return the time of a moment in running time: within a long stop, that of the first reading after it."""
+    k = min(int(np.searchsorted(running_s, at)), len(running_s) - 1)
+    if k and clock_s[k] - clock_s[k - 1] > LONG_STOP_S:
+        return float(clock_s[k])
+    return float(clock_s[k] + at - running_s[k])
 
 
 def _with_held(t: Array, r: Array) -> tuple[Array, Array]:
@@ -177,18 +201,20 @@ def with_fan(steps: Sequence[Step], time_s: Array, power: Array) -> list[Step]:
         Logarithm of the fan's power less that by the twin (n,); NaN is missing.
     """
     there = np.isfinite(power)
-    t, r = time_s[there], power[there]
-    if len(t) < 2 * FEWEST:
+    clock_s, r = time_s[there], power[there]
+    if len(clock_s) < 2 * FEWEST:
         return list(steps)
+    t = running_time(clock_s)
     at = np.arange(t[0] + BASE_S, t[-1] - BASE_S, 0.25 * DAY_S)
     usual = np.array([_short_difference(t, r, one) for one in at])
     found = []
     for step in steps:
-        size = _short_difference(t, r, step.start_s)
-        apart = np.abs(at - step.start_s) >= 0.5 * DAY_S
+        start_s = float(np.interp(step.start_s, clock_s, t))
+        size = _short_difference(t, r, start_s)
+        apart = np.abs(at - start_s) >= 0.5 * DAY_S
         limit = UNUSUAL * 1.4826 * float(np.median(np.abs(usual[apart]))) if apart.any() else np.inf
         fan = step.kind == "thermometer" and abs(size) > limit > 0.0
-        fan = fan and abs(_split(t, r, step.start_s) - step.start_s) <= APART_S
+        fan = fan and abs(_split(t, r, start_s) - start_s) <= APART_S
         found.append(replace(step, kind="fan", power=size) if fan else step)
     return found
 
