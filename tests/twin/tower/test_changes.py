@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from twin.tower.air import Array
 from twin.tower.calibration import fit_cell
 from twin.tower.cell import Inputs
 from twin.tower.cell_observations.evidence import Label
+from twin.tower.change_detection import changes
 from twin.tower.change_detection.changes import _window, undeclared_changes
 from twin.tower.clean_cell.commissioning import fit_clean_cell
 from twin.tower.clean_cell.discrepancy import AMPLITUDE_K, prior_sd
@@ -99,6 +101,31 @@ def test_nothing_is_opened_without_a_change_or_where_it_is_declared(
     model: CellModel, step: tuple[float, float] | None, known: float | None
 ) -> None:
     assert changes_of(model, step, known)[1] == []
+
+
+@pytest.mark.parametrize(
+    ("fill_score", "stop_h", "first"), [(10.5, 0.0, "bias"), (11.9, 0.0, "bias"), (11.9, 9.0, "fill")]
+)
+def test_a_jump_is_of_the_deviation_that_fits_best_and_of_a_fill_if_somebody_could_work_on_it(
+    monkeypatch: pytest.MonkeyPatch, fill_score: float, stop_h: float, first: str
+) -> None:
+    """The bias has large scores everywhere, since a thermometer also drifts: its jump is judged by the same size."""
+    edges = np.arange(41) * DAY_S / 2
+    usual = {"fill": 0.9, "uniformity": 0.8, "bias": 2.0, "air": 1.0}
+    top = {"fill": fill_score, "uniformity": 8.0, "bias": 11.5, "air": 1.0}
+    rng, scores = np.random.default_rng(3), {}
+    for name in RATE_D:
+        own = usual[name] * rng.choice([-1.0, 1.0], 39)
+        own[20] = top[name]
+        information = np.full(39, 1000.0 / JUMP[name] ** 2)
+        scores[name] = own * np.sqrt(information), information
+    monkeypatch.setattr(changes, "_scores", lambda _, __, name: scores[name])
+    time_s = np.arange(0.0, edges[-1], 1800.0)
+    at = edges[21]
+    time_s = time_s[(time_s <= at) | (time_s > at + stop_h * 3600.0)]
+    estimate = SimpleNamespace(edges_s=edges, residual=np.zeros(len(time_s)))
+    (event,) = changes._likely(estimate, (), time_s)
+    assert event[0].parameter == first and event[0].start_s == at
 
 
 def operation(wet: Array, flow: Array) -> Operation:

@@ -135,3 +135,15 @@ def test_a_fan_that_was_changed_while_the_cell_stood_is_no_thermometer() -> None
     power = rng.normal(0.0, 0.01, len(t)) - 0.1 * after
     steps = [s for s in find_steps(clock_s, r + 0.6 * after) if s.lasting]
     assert [s.kind for s in with_fan(steps, clock_s, power)] == ["fan"]
+
+
+@pytest.mark.parametrize(("moved_K", "later_s"), [(-2.2, 0.0), (-0.6, 5400.0)])
+def test_a_basin_that_moves_by_itself_in_the_same_hours_is_no_witness(moved_K: float, later_s: float) -> None:
+    """A basin moves by kelvins as other cells come and go; a step of the water is as large, and at the same minute."""
+    rng = np.random.default_rng(21)
+    for _ in range(20):
+        t, r = residuals(rng, 24 * 4)
+        at = 50.0 * 3600.0
+        second = residuals(rng, 24 * 4)[1] + moved_K * (t >= at + later_s)
+        (step,) = [s for s in find_steps(t, r - 0.56 * (t >= at), second) if s.lasting]
+        assert step.kind == "thermometer" and (step.alone or later_s > 0.0)

@@ -10,6 +10,9 @@ Gaussian with precision i and mean m:
 v is the increment's prior variance, v_post its posterior one, J the standard deviation of a jump. A jump is opened
 where its posterior odds, Bayes factor times prior odds, are above one.
 
+A fill or its nozzles change at once if somebody works on them, which needs a cell that stands. Where readings go on, a
+jump is more probably one of the thermometer.
+
 Sources: Harvey & Koopman, J. Bus. Econ. Stat. 10 (1992) 377 (auxiliary residuals); de Jong & Penzer, J. Am. Stat.
 Assoc. 93 (1998) 796 (shocks of a state); Kass & Raftery, J. Am. Stat. Assoc. 90 (1995) 773 (Bayes factor).
 """
@@ -19,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.tower.air import Array
 from twin.tower.cell_observations import Label
@@ -28,6 +32,12 @@ from twin.tower.smoother import JUMP, RATE_D, estimate, unread_days, walk_precis
 
 TOGETHER = {"fill": ("fill", "uniformity"), "uniformity": ("uniformity", "fill")}
 """Deviations that a jump opens beside its own: who washes a fill cleans its nozzles, with an entry or without."""
+STOP_S = 2.0 * 3600.0
+"""Time without a steady reading in which somebody may have worked in a cell."""
+WHILE_RUNNING = {"fill": 0.05, "uniformity": 0.05}
+"""Share of the changes of a deviation that come while its cell runs: nozzles that break or are freed from above."""
+SHOWN_BY = (("fill", "uniformity", "bias"), ("air",))
+"""Deviations that the outlet's readings show, and the one that the fan's power does."""
 APART_S = 5.0 * DAY_S
 """Least time between two jumps of one deviation that are opened at once: the second may be the shadow of the first."""
 ROUNDS = 4
@@ -63,7 +73,7 @@ def undeclared_changes(
         start = estimate(model, blocks, priors, labels, known, edges, start=start, least_correlation=True)
         kept = [event for event in found if _stands(start, event)]
         # A jump of the last round would not be judged again once it is open.
-        more = _likely(start, known) if number < ROUNDS - 1 else []
+        more = _likely(start, known, blocks.time_s) if number < ROUNDS - 1 else []
         if not more and len(kept) == len(found):
             break
         more = [tuple(_located(start, blocks.time_s, one) for one in event) for event in more]
@@ -73,17 +83,21 @@ def undeclared_changes(
     return tuple(sorted((one for event in found for one in event), key=lambda one: one.start_s))
 
 
-def _likely(posterior: Estimate, known: Sequence[Opening]) -> list[tuple[Opening, ...]]:
+def _likely(posterior: Estimate, known: Sequence[Opening], time_s: Array) -> list[tuple[Opening, ...]]:
     """Return the events with posterior odds above one, the likeliest of those that are close to each other, each with
-    the jumps that it opens."""
+    the jumps that it opens; `time_s` (n,) are the times of the blocks."""
     edges = posterior.edges_s
+    stood = _stood(edges, time_s[np.isfinite(posterior.residual)])
     ranked: list[tuple[float, int, str]] = []
     by_name: dict[str, Array] = {}
-    for name in JUMP:
-        if name not in RATE_D:
-            continue
-        odds = _log_bayes_factor(posterior, known, name)
+    scores = {name: _scores(posterior, known, name) for name in RATE_D}
+    # Scores of a fit that trusts itself too much are too large everywhere: their usual size is one. Deviations that the
+    # same readings show have one usual size, so that their jumps can be compared.
+    usual = {name: _usual_size([scores[one] for one in alike]) for alike in SHOWN_BY for name in alike}
+    for name, (score, information) in scores.items():
+        odds = _log_bayes_factor(score / max(usual[name], 1.0), information, name)
         odds += np.log(RATE_D[name] * np.diff(0.5 * (edges[:-1] + edges[1:])) / DAY_S)
+        odds += np.where(stood, 0.0, np.log(WHILE_RUNNING.get(name, 1.0)))
         by_name[name] = odds
         ranked += [(float(odds[k]), int(k), name) for k in np.flatnonzero(odds > 0.0)]
     taken: list[tuple[int, str]] = []
@@ -95,6 +109,18 @@ def _likely(posterior: Estimate, known: Sequence[Opening]) -> list[tuple[Opening
         tuple(Opening(*_window(by_name[name], edges, k), other) for other in TOGETHER.get(name, (name,)))
         for k, name in taken
     ]
+
+
+def _stood(edges: Array, read_s: Array) -> NDArray[np.bool_]:
+    """Return True for each edge between two cells of the grid (k - 1,) in which the tower's cell may have stood: its
+    steady readings, at `read_s` (n,), pause there."""
+    if not len(read_s):
+        return np.ones(len(edges) - 2, dtype=bool)
+    ends = np.concatenate([[edges[0]], read_s, [edges[-1]]])
+    begin, end = ends[:-1], ends[1:]
+    pauses = end - begin > STOP_S
+    overlap = (begin[pauses] < edges[2:, None]) & (end[pauses] > edges[:-2, None])
+    return np.asarray(overlap.any(axis=1))
 
 
 def _located(p: Estimate, time_s: Array, jump: Opening) -> Opening:
@@ -153,8 +179,8 @@ def _window(odds: Array, edges: Array, k: int) -> tuple[float, float]:
     return float(edges[inside.min() + 1]), float(edges[inside.max() + 1])
 
 
-def _log_bayes_factor(p: Estimate, known: Sequence[Opening], name: str) -> Array:
-    """Return the logarithm of the Bayes factor of a jump between each two cells of the grid (k - 1,)."""
+def _scores(p: Estimate, known: Sequence[Opening], name: str) -> tuple[Array, Array]:
+    """Return the scores and the information of a jump between each two cells of the grid (k - 1,)."""
     read = np.bincount(p.cell[np.isfinite(p.residual)], minlength=len(p.slow)) > 0
     inner, drift = walk_precision(p.edges_s, name, known, unread_days(p.edges_s, read))
     rows = np.arange(len(p.slow)) * len(SLOW) + SLOW.index(name)
@@ -162,9 +188,15 @@ def _log_bayes_factor(p: Estimate, known: Sequence[Opening], name: str) -> Array
     left = own[1:, 1:] + own[:-1, :-1] - own[1:, :-1] - own[:-1, 1:]
     prior = np.diag(inner)
     information = np.maximum(prior - ((inner @ left) * inner).sum(axis=1), 1e-6 * prior)
-    score = inner @ (np.diff(p.slow[:, SLOW.index(name)]) - drift)
-    # Scores of a fit that trusts itself too much are too large everywhere: their usual size is one.
-    usual = 1.4826 * float(np.median(np.abs(score) / np.sqrt(information)))
-    score = score / max(usual, 1.0)
+    return inner @ (np.diff(p.slow[:, SLOW.index(name)]) - drift), information
+
+
+def _usual_size(scores: Sequence[tuple[Array, Array]]) -> float:
+    """Return the robust standard deviation of scores over that by their information."""
+    return 1.4826 * float(np.median(np.concatenate([np.abs(s) / np.sqrt(i) for s, i in scores])))
+
+
+def _log_bayes_factor(score: Array, information: Array, name: str) -> Array:
+    """Return the logarithm of the Bayes factor of a jump between each two cells of the grid (k - 1,)."""
     jump = JUMP[name] ** 2
     return np.asarray(0.5 * jump * score**2 / (1.0 + jump * information) - 0.5 * np.log1p(jump * information))

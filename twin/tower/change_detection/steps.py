@@ -50,7 +50,9 @@ CONFIRMED = 0.4
 """Share of the smallest step by which the median of three hours after must differ for the step to stand."""
 FEWEST = 8
 SECOND_SHARE = 0.5
-"""Share of a step that a second thermometer must show for it to be one of the water."""
+"""Share of a step within which a second thermometer must show the same one for it to be one of the water, and at most
+which it may show for it to have stood still. A basin also moves by itself, as other cells come and go: then it tells
+nothing."""
 
 
 @dataclass(frozen=True)
@@ -177,15 +179,20 @@ def _step(t: Array, r: Array, other: Array | None, start: float, alarm: float, l
     size = float(np.median(r[after])) - level
     days = _day_difference(t, r, start)
     lasting = bool(after.sum() >= 3 and min(abs(size), abs(days)) >= least and size * days > 0.0)
-    kind, alone = "thermometer", True
-    if other is not None:
-        before = (t >= start - BASE_S) & (t < start)
-        seen = other[after & np.isfinite(other)], other[before & np.isfinite(other)]
-        if min(len(seen[0]), len(seen[1])) >= FEWEST:
-            alone = False
-            moved = float(np.median(seen[0]) - np.median(seen[1]))
-            kind = "water" if moved * np.sign(size) > SECOND_SHARE * abs(size) else "thermometer"
+    share = np.nan if other is None else _share_of(t, other, start, size)
+    same = abs(share - 1.0) <= SECOND_SHARE
+    kind, alone = "water" if same else "thermometer", not (same or abs(share) < SECOND_SHARE)
     return Step(start, alarm, size, lasting, kind, alone)
+
+
+def _share_of(t: Array, other: Array, start: float, size: float) -> float:
+    """Return the share of a step that a second thermometer shows; NaN where it has too few readings, or has moved at
+    another time of these hours."""
+    there = np.isfinite(other)
+    moved = _short_difference(t[there], other[there], start, np.nan)
+    if not abs(moved) > SECOND_SHARE * abs(size):
+        return moved / size
+    return moved / size if abs(_split(t[there], other[there], start) - start) <= APART_S else np.nan
 
 
 def with_fan(steps: Sequence[Step], time_s: Array, power: Array) -> list[Step]:
@@ -219,11 +226,12 @@ def with_fan(steps: Sequence[Step], time_s: Array, power: Array) -> list[Step]:
     return found
 
 
-def _short_difference(t: Array, r: Array, at: float) -> float:
-    """Return the difference of the medians of three hours after and before a time; 0 where there are too few."""
+def _short_difference(t: Array, r: Array, at: float, unknown: float = 0.0) -> float:
+    """Return the difference of the medians of three hours after and before a time; `unknown` where there are too
+    few."""
     first, middle, last = np.searchsorted(t, (at - BASE_S, at, at + BASE_S))
     if min(middle - first, last - middle) < FEWEST:
-        return 0.0
+        return unknown
     return float(np.median(r[middle:last]) - np.median(r[first:middle]))
 
 
