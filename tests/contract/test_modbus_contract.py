@@ -290,11 +290,17 @@ async def test_a_reply_that_comes_once_more_while_nothing_is_asked_is_not_the_ne
 async def test_what_a_caller_gives_up_on_does_not_shift_what_follows(on):
     async with on() as rig:
         rig.break_by(replies.late(random.Random(1), 1.0, 0.04, 0.05), any_frame=True)
-        for _ in range(3):
-            with pytest.raises(TimeoutError):
+        given_up = 0
+        for _ in range(30):  # a busy machine lets a reply come in before the caller is told to give up
+            try:
                 async with asyncio.timeout(0.02):
                     await rig.read()
+            except TimeoutError:
+                given_up += 1
+            if given_up == 3:
+                break
             await asyncio.sleep(0.01)
+        assert given_up == 3
         rig.break_by(None)
         for _ in range(10):
             await rig.read()
