@@ -259,41 +259,54 @@ def test_a_worker_reports_errors_and_goes_on(tmp_path: Path) -> None:
                 worker.ask(record="x", twin=str(tmp_path / "nowhere.toml"), healthy="x", hour=8.0, out=str(tmp_path))
 
 
-def test_two_cases_from_end_to_end(tmp_path: Path) -> None:
-    options = ["bench", "discovery", "--blind", "--case", "3", "--case", "5", "--hours", "2", "--no-ablations"]
-    work = ["--work", str(tmp_path / "work"), "--json"]
-    first = CliRunner().invoke(group, [*options, *work])
-    assert first.exit_code == 0, first.output
-    report = json.loads(first.stdout)
+TRIAL = ("bench", "discovery", "--blind", "--case", "1", "--case", "2", "--hours", "1", "--json")
+
+
+@pytest.fixture(scope="module")
+def in_turn(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """Work folder of a trial of two cases, one after the other, and its report."""
+    work = tmp_path_factory.mktemp("trial")
+    done = CliRunner().invoke(group, [*TRIAL, "--work", str(work)])
+    assert done.exit_code == 0, done.output
+    report: dict[str, Any] = json.loads(done.stdout)
+    return work, report
+
+
+def ledger_of(work: Path) -> Path:
+    (ledger,) = work.rglob("ledger.jsonl")
+    return ledger
+
+
+def test_two_cases_from_end_to_end(in_turn: tuple[Path, dict[str, Any]]) -> None:
+    work, report = in_turn
     assert sum(row[1] for row in report["tables"]["verdicts"]["rows"]) == 2
-    (ledger,) = (tmp_path / "work").rglob("ledger.jsonl")
-    events = [json.loads(line)["event"] for line in ledger.read_text(encoding="utf-8").splitlines()]
-    assert events == ["sealed", "answered", "opened"] * 2
-    again = CliRunner().invoke(group, [*options, *work])
+    lines = ledger_of(work).read_text(encoding="utf-8").splitlines()
+    assert [json.loads(line)["event"] for line in lines] == ["sealed", "answered", "opened"] * 2
+    again = CliRunner().invoke(group, [*TRIAL, "--work", str(work)])
     assert json.loads(again.stdout)["tables"] == report["tables"]
-    assert len(ledger.read_text(encoding="utf-8").splitlines()) == 6
+    assert len(ledger_of(work).read_text(encoding="utf-8").splitlines()) == 6
 
 
-def test_cases_on_two_workers_are_those_of_one(tmp_path: Path) -> None:
+def test_cases_on_two_workers_are_those_of_one(in_turn: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     pytest.importorskip("distributed")
-    answers = {}
-    for jobs in ("1", "2"):
-        work = tmp_path / jobs
-        words = ["bench", "discovery", "--case", "1", "--case", "2", "--hours", "1", "--jobs", jobs, "--json"]
-        done = CliRunner().invoke(group, [*words, "--work", str(work)])
-        assert done.exit_code == 0, done.output
-        (ledger,) = work.rglob("ledger.jsonl")
+    done = CliRunner().invoke(group, [*TRIAL, "--jobs", "2", "--work", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    answers = []
+    for work in (in_turn[0], tmp_path):
+        ledger = ledger_of(work)
         cases = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in ledger.parent.glob("case_?.json")}
         timed = {"seconds", "cpu_s"}
-        answers[jobs] = {
-            name: ({k: v for k, v in one["outcome"].items() if k not in timed}, one["ablation"])
-            for name, one in cases.items()
-        }
+        answers.append(
+            {
+                name: ({k: v for k, v in one["outcome"].items() if k not in timed}, one["ablation"])
+                for name, one in cases.items()
+            }
+        )
         lines = [json.loads(line) for line in ledger.read_text(encoding="utf-8").splitlines()]
         for case in ("case_1", "case_2"):
             assert [line["event"] for line in lines if line["case"] == case] == ["sealed", "answered", "opened"]
-    assert answers["1"].keys() == {"case_1.json", "case_2.json"}
-    assert answers["1"] == answers["2"]
+    assert answers[0].keys() == {"case_1.json", "case_2.json"}
+    assert answers[0] == answers[1]
 
 
 def test_a_crash_counts_as_no_answer() -> None:

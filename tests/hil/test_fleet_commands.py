@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
 
@@ -11,12 +10,7 @@ import pytest
 
 from hil.fleet import FleetError, read_fleet
 from hil.fleet.kinds import GivenJob, perform_job, subcommand
-from hil.training import least_windows
 from tests.hil.command_line import typed
-
-NEEDS_TORCH = pytest.mark.skipif(
-    not all(importlib.util.find_spec(name) for name in ("torch", "safetensors")), reason="torch is not installed"
-)
 
 
 def fleet(folder: Path, jobs: str) -> Path:
@@ -35,20 +29,6 @@ def test_a_benchmark_is_a_job_with_its_report_as_files(tmp_path):
     assert row["rows"] == sum(len(table["rows"]) for table in report["tables"].values()) > 0
     assert (out / "files" / row["job"] / "wire.md").is_file()
     assert row["cpu_s"] > 0.2 and row["seconds"] > 0.2, "the time of the command's own process counts"
-
-
-@pytest.mark.slow
-@NEEDS_TORCH
-def test_a_training_is_a_job_with_weights_card_and_picture(tmp_path):
-    arguments = f'["--windows", "{least_windows()}", "--steps", "2", "--threads", "1"]'
-    file, out = fleet(tmp_path, f'[[job]]\nkind = "train"\narguments = {arguments}\n'), tmp_path / "out"
-    done = typed("fleet", file, "--on", "here", "--out", out)
-    assert done.returncode == 0, done.stdout + done.stderr
-    (row,) = pq.read_table(out / "results.parquet").to_pylist()
-    assert (row["status"], row["attempts"], row["steps"]) == ("done", 1, 2) and "held-out windows" in row["answer"]
-    assert row["seconds"] > row["training_s"] > 0.0, "the simulation is a part of the job"
-    names = {path.name for path in (out / "files" / row["job"]).iterdir()}
-    assert {"loop_small_0.safetensors", "loop_small_0.json", "loop_small_0.png", "train.json"} <= names
 
 
 @pytest.mark.parametrize(

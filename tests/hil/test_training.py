@@ -18,8 +18,11 @@ from click.testing import CliRunner, Result
 torch = pytest.importorskip("torch", reason="torch is not installed: the network calibrator is left out")
 pytest.importorskip("safetensors", reason="safetensors is not installed: trained networks cannot be written")
 
+import hil.training  # noqa: E402
 from hil.cli.twin_commands.train import PIECES as command_pieces  # noqa: E402
 from hil.cli.twin_commands.train import again, anywhere, command, loop_command, wanted  # noqa: E402
+from hil.fleet.kinds import GivenJob, perform_job, subcommand  # noqa: E402
+from hil.fleet.kinds.job_folder import JobFolder  # noqa: E402
 from hil.training import generate, session  # noqa: E402
 from hil.training.ablation import PIECES, without  # noqa: E402
 from hil.training.data import TrainingData, least_windows, read  # noqa: E402
@@ -139,6 +142,29 @@ def test_minutes_are_of_simulating_too_and_the_command_goes_on(tmp_path: Path, m
     assert json.loads(typed(*words, "--json").stdout)["simulated"] == 0.0
     refused = typed("--data", tmp_path / "data", "--data-seed", 8)
     assert "holds windows of data seed 7, not 8" in str(refused.exception)
+
+
+def test_a_training_is_a_job_of_a_fleet_with_weights_card_and_picture(
+    data: TrainingData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The command of the job, with fake windows and in this process; one of its own is tested with a benchmark."""
+    for name, fake_one in (("complete", lambda *_: True), ("features_of", lambda: None), ("read", lambda *_: data)):
+        monkeypatch.setattr(hil.training, name, fake_one, raising=False)
+
+    def here(folder: JobFolder, words: list[str], say: Callable[[str], None]) -> dict[str, Any]:
+        folder.out.mkdir()
+        monkeypatch.chdir(folder.path)
+        done = CliRunner().invoke(command, words[1:])
+        assert done.exit_code == 0, done.output
+        found: dict[str, Any] = json.loads(done.stdout)
+        return found
+
+    monkeypatch.setattr(subcommand, "_run", here)
+    arguments = ("--windows", str(least_windows()), "--steps", "2", "--threads", "1")
+    made = perform_job(GivenJob("train", 0, {"arguments": arguments}, {}, {}, {}), lambda _: None)
+    monkeypatch.chdir(Path(__file__).parent)  # the job's folder is gone
+    assert made.row["steps"] == 2 and made.row["training_s"] > 0.0 and "held-out windows" in made.answer
+    assert {"loop_small_0.safetensors", "loop_small_0.json", "loop_small_0.png"} <= made.files.keys()
 
 
 def test_the_command_of_a_card_simulates_and_trains_the_same_again(tmp_path: Path) -> None:

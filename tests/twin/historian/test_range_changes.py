@@ -47,9 +47,7 @@ def _found(store: list[Series]) -> list[Defect]:
     ("name", "factor", "constant", "words"),
     [
         ("T1OUT", 1.0, 5.0, "5 degC more than it did"),
-        ("T2IN", 1.0, -4.0, "4 degC less than it did"),
         ("F1", 1.37, 0.0, "1.37 times what it did"),
-        ("F2", 0.7, 0.0, "0.7 times what it did"),
         ("JI1", 1.6, 0.0, "1.6 times what it did"),
         ("PH", 1.25, 0.0, "1.25 times what it did"),
         ("PB", 1.0, -40.0, "40 hPa less than it did"),

@@ -46,10 +46,8 @@ def _switched(
     [
         ("T1IN", "degF"),
         ("T2OUT", "degF"),
-        ("TRET", "degF"),
         ("TSUP", "K"),
         ("TDB", "degF"),
-        ("TWB", "degF"),
         ("F1", "kg/s"),
         ("F2", "gpm"),
         ("JI1", "W"),
@@ -58,7 +56,6 @@ def _switched(
         ("PB", "kPa"),
         ("PH", "bar"),
         ("JP", "hp"),
-        ("QH", "MW"),
         ("RHA", "1"),
     ],
 )

@@ -113,6 +113,13 @@ def _median(values: Array) -> float:
     return 0.5 * float(parted[half - 1] + parted[half])
 
 
+def known_median(values: Array) -> float:
+    """Return the median of the known of some values (m,), NaN where there is none; `np.nanmedian` takes ten times as
+    long for a few."""
+    known = values[~np.isnan(values)]
+    return _median(known) if len(known) else np.nan
+
+
 def largest_sum(gain: Array) -> tuple[int, int, float]:
     """Return begin, end (exclusive) and value of the run with the largest sum (Kadane's algorithm)."""
     total = np.concatenate([[0.0], np.cumsum(gain)])

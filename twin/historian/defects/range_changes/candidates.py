@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.historian.defects.panel import TagPanel
+from twin.historian.defects.panel import TagPanel, known_median
 from twin.historian.defects.range_changes.readings import (
     FANS,
     LEAST,
@@ -49,7 +49,7 @@ def splits_best(series: Series, ratio: Array, at: LeapCandidate, candidates: Seq
 
     def error(one: LeapCandidate) -> float:
         sides = ratio[low : one.row + 1], ratio[one.after : high]
-        return sum(float(np.nansum(np.abs(side - np.nanmedian(side)))) for side in sides)
+        return sum(float(np.nansum(np.abs(side - known_median(side)))) for side in sides)
 
     near = [one for one in candidates if low <= one.row and one.after < high]
     return error(at) <= min((error(one) for one in near), default=np.inf)
@@ -67,8 +67,8 @@ class LeapCandidate:
     def sides(self, x: Array) -> tuple[float, float]:
         """Return the levels of values (n,) on either side."""
         return (
-            float(np.nanmedian(x[max(self.row + 1 - LEVEL, 0) : self.row + 1])),
-            float(np.nanmedian(x[self.after : self.after + LEVEL])),
+            known_median(x[max(self.row + 1 - LEVEL, 0) : self.row + 1]),
+            known_median(x[self.after : self.after + LEVEL]),
         )
 
 

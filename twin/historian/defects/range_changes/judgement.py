@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.historian.defects.panel import RobustPredictor, TagPanel, design_matrix
+from twin.historian.defects.panel import RobustPredictor, TagPanel, design_matrix, known_median
 from twin.historian.defects.range_changes.candidates import LAW_APART, LAW_S, USUAL, LeapCandidate
 from twin.historian.defects.range_changes.maps import (
     BACK,
@@ -222,7 +222,7 @@ def _by_law(table: TagPanel, k: int, at: LeapCandidate) -> float | None:
     ratio = law_ratio(table, k)
     time_s = series.time_s
     low, high = np.searchsorted(time_s, (time_s[at.row] - LAW_S, time_s[at.after] + LAW_S)).tolist()
-    change = float(np.nanmedian(ratio[at.after : high]) - np.nanmedian(ratio[low : at.row + 1]))
+    change = known_median(ratio[at.after : high]) - known_median(ratio[low : at.row + 1])
     return float(np.exp(change)) if np.isfinite(change) else None
 
 
@@ -263,7 +263,7 @@ def _least_leap(series: Series, at: LeapCandidate, after: Array) -> float:
         least = max(least, (1.0 - EDGE) * min(abs(end - start) for start, end in pairs))
         shares.append((1.0 - EDGE) * min(abs(end - start) / max(abs(start), 1e-9) for start, end in pairs))
     share = max(shares)
-    return min(least, share / (1.0 + share) * float(np.nanmedian(np.abs(after))))
+    return min(least, share / (1.0 + share) * known_median(np.abs(after)))
 
 
 def _fewest(x: Array, after: Mask) -> int:

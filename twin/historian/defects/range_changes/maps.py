@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.historian.defects.panel import RobustPredictor
+from twin.historian.defects.panel import RobustPredictor, known_median
 from twin.historian.tags import Array, Mask
 
 LEAST_ROWS = 16
@@ -51,11 +51,11 @@ class ScaleFit:
         """Median distance from the prediction; infinite where there is none."""
         if not np.isfinite(self.residual).any():
             return float(np.inf)
-        return float(np.nanmedian(np.abs(self.residual)))
+        return known_median(np.abs(self.residual))
 
     def doubt(self, after: Mask) -> float:
         """Return the distance of the mapped readings from the prediction as a share of the leap."""
-        return self.error / float(np.nanmedian(np.abs(self.leap[after])))
+        return self.error / known_median(np.abs(self.leap[after]))
 
     def is_borne_out(self, plain: Array, after: Mask, *, alone: bool) -> bool:
         """Return whether the other tags go with the mapped readings on both sides, and cannot explain them unmapped.
