@@ -65,7 +65,8 @@ IMPOSSIBLE = {
 }
 """Words of the bits of `check`."""
 DRIVEN = 0.25
-"""Share of full fan speed above which a thermometer is watched for steps: below, free convection acts too."""
+"""Share of full fan speed above which a cell is watched for steps and changes: below, free convection acts too, and the
+twin knows it less well: hours of it are no change of the cell."""
 
 
 @dataclass(frozen=True)
@@ -217,7 +218,7 @@ def _witnessed(one: PreparedCell, found: tuple[Contradiction, ...]) -> tuple[Con
 def step_openings(steps: Sequence[Step]) -> tuple[Opening, ...]:
     """Return the jumps that lasting steps open: of the bias for a thermometer, of the air for a fan."""
     opened = {"thermometer": "bias", "fan": "air"}
-    return tuple(Opening(s.start_s, s.alarm_s, opened[s.kind]) for s in steps if s.lasting and s.kind in opened)
+    return tuple(Opening(s.since_s, s.alarm_s, opened[s.kind]) for s in steps if s.lasting and s.kind in opened)
 
 
 def fit_with_steps(
@@ -273,8 +274,11 @@ def undeclared_jumps(
     steps = thermometer_steps(fitted, record)
     opened = step_openings(steps)
     known, start = (*openings, *opened), fitted.posterior
-    start = replace(start, edges_s=moved_grid(start.edges_s, [one.start_s for one in opened]))
-    return steps, (*opened, *undeclared_changes(fitted.model, fitted.blocks, priors, labels, known, start))
+    timed = [one.start_s for one in opened if one.end_s - one.start_s < HALF_DAY_S]
+    start = replace(start, edges_s=moved_grid(start.edges_s, timed))
+    blocks = fitted.blocks
+    driven = replace(blocks, outlet=np.where(blocks.operation.inputs.speed > DRIVEN, blocks.outlet, np.nan))
+    return steps, (*opened, *undeclared_changes(fitted.model, driven, priors, labels, known, start))
 
 
 def thermometer_steps(fitted: Fitted, record: CellRecord) -> tuple[Step, ...]:

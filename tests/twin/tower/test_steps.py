@@ -116,7 +116,7 @@ def test_a_step_while_the_cell_stands_is_found_when_it_runs_again(stop_days: flo
         second = residuals(rng, 24 * 12)[1] + moved_K * after
         found = [s for s in find_steps(clock_s, r + 0.6 * after, second) if s.lasting]
         assert [s.kind for s in found] == [kind]
-        assert found[0].start_s == clock_s[after][0]
+        assert (found[0].since_s, found[0].start_s) == (clock_s[~after][-1], clock_s[after][0])
         assert found[0].alarm_s - found[0].start_s <= 18 * 60
 
 

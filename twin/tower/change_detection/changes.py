@@ -36,8 +36,6 @@ STOP_S = 2.0 * 3600.0
 """Time without a steady reading in which somebody may have worked in a cell."""
 WHILE_RUNNING = {"fill": 0.05, "uniformity": 0.05}
 """Share of the changes of a deviation that come while its cell runs: nozzles that break or are freed from above."""
-SHOWN_BY = (("fill", "uniformity", "bias"), ("air",))
-"""Deviations that the outlet's readings show, and the one that the fan's power does."""
 APART_S = 5.0 * DAY_S
 """Least time between two jumps of one deviation that are opened at once: the second may be the shadow of the first."""
 ROUNDS = 4
@@ -90,16 +88,17 @@ def _likely(posterior: Estimate, known: Sequence[Opening], time_s: Array) -> lis
     stood = _stood(edges, time_s[np.isfinite(posterior.residual)])
     ranked: list[tuple[float, int, str]] = []
     by_name: dict[str, Array] = {}
-    scores = {name: _scores(posterior, known, name) for name in RATE_D}
-    # Scores of a fit that trusts itself too much are too large everywhere: their usual size is one. Deviations that the
-    # same readings show have one usual size, so that their jumps can be compared.
-    usual = {name: _usual_size([scores[one] for one in alike]) for alike in SHOWN_BY for name in alike}
-    for name, (score, information) in scores.items():
-        odds = _log_bayes_factor(score / max(usual[name], 1.0), information, name)
-        odds += np.log(RATE_D[name] * np.diff(0.5 * (edges[:-1] + edges[1:])) / DAY_S)
-        odds += np.where(stood, 0.0, np.log(WHILE_RUNNING.get(name, 1.0)))
+    for name in RATE_D:
+        score, information = _scores(posterior, known, name)
+        prior = np.log(RATE_D[name] * np.diff(0.5 * (edges[:-1] + edges[1:])) / DAY_S)
+        prior += np.where(stood, 0.0, np.log(WHILE_RUNNING.get(name, 1.0)))
+        # Scores of a fit that trusts itself too much are too large everywhere: their usual size is one.
+        usual = max(1.4826 * float(np.median(np.abs(score) / np.sqrt(information))), 1.0)
+        odds = prior + _log_bayes_factor(score / usual, information, name)
         by_name[name] = odds
-        ranked += [(float(odds[k]), int(k), name) for k in np.flatnonzero(odds > 0.0)]
+        # Deviations that the same readings show are compared by what they explain of these, whatever is usual of each.
+        explained = prior + _log_bayes_factor(score, information, name)
+        ranked += [(float(explained[k]), int(k), name) for k in np.flatnonzero(odds > 0.0)]
     taken: list[tuple[int, str]] = []
     for _, k, name in sorted(ranked, reverse=True):
         # One change explains its surroundings; others beside it are judged again once it is open.
@@ -189,11 +188,6 @@ def _scores(p: Estimate, known: Sequence[Opening], name: str) -> tuple[Array, Ar
     prior = np.diag(inner)
     information = np.maximum(prior - ((inner @ left) * inner).sum(axis=1), 1e-6 * prior)
     return inner @ (np.diff(p.slow[:, SLOW.index(name)]) - drift), information
-
-
-def _usual_size(scores: Sequence[tuple[Array, Array]]) -> float:
-    """Return the robust standard deviation of scores over that by their information."""
-    return 1.4826 * float(np.median(np.concatenate([np.abs(s) / np.sqrt(i) for s, i in scores])))
 
 
 def _log_bayes_factor(score: Array, information: Array, name: str) -> Array:

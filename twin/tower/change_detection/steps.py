@@ -58,7 +58,8 @@ nothing."""
 @dataclass(frozen=True)
 class Step:
     """A step: when it began, when it was reported, its size K, whether it stayed, and its class: thermometer, water or
-    fan. `alone`: no second thermometer of the water was there. `power`: step of the fan's power, of its logarithm."""
+    fan. `alone`: no second thermometer of the water was there. `power`: step of the fan's power, of its logarithm.
+    `since_s`: the last reading before a long stop in which it happened at an unknown time, else when it began."""
 
     start_s: float
     alarm_s: float
@@ -67,6 +68,7 @@ class Step:
     kind: str = "thermometer"
     alone: bool = True
     power: float = 0.0
+    since_s: float = np.nan
 
 
 def find_steps(time_s: Array, residual: Array, second: Array | None = None) -> list[Step]:
@@ -110,7 +112,10 @@ def find_steps(time_s: Array, residual: Array, second: Array | None = None) -> l
             least = max(CONFIRMED * SMALLEST_K, UNUSUAL * _usual(*differences, start))
             step = _step(t, r, other, start, float(at[i]), float(level[i]), least)
             first, alarm = (_clock_time(clock_s, t, one) for one in (step.start_s, step.alarm_s))
-            found.append(replace(step, start_s=first, alarm_s=alarm))
+            k = int(np.searchsorted(clock_s, first))
+            stopped = 0 < k < len(clock_s) and clock_s[k] == first and first - clock_s[k - 1] > LONG_STOP_S
+            since = float(clock_s[k - 1]) if stopped else first
+            found.append(replace(step, start_s=first, alarm_s=alarm, since_s=since))
             up = down = 0.0
             quiet_until = at[i] + CONFIRM_S
     return found

@@ -1,0 +1,41 @@
+"""Undeclared changes of a cell: they are told by the hours in which its fan turns, as the twin knows it then."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hil.tower.calibration import station_fit
+from hil.tower.calibration.station_fit import DRIVEN, undeclared_jumps
+from tests.twin.tower.made_cell import made_cell
+from tests.twin.tower.test_calibration import M_W0 as WATER
+from tests.twin.tower.test_calibration import SITE, clean, minutes
+from twin.tower.calibration import fit_cell
+from twin.tower.cell_observations.evidence import Label
+from twin.tower.clean_cell.commissioning import fit_clean_cell
+from twin.tower.estimates import DAY_S, Priors, time_grid
+from twin.tower.model import CellModel
+from twin.tower.twin_file import BOUNDS
+
+
+def test_hours_of_free_convection_are_no_change_of_the_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = CellModel(fit_clean_cell(clean(), WATER).design, SITE)
+    made = made_cell(6, seed=4, fill=(0.9, 0.895))
+    begin, read = float(made.time_s[0]), minutes(made)
+    calm = made.time_s > begin + 4.0 * DAY_S
+    u = read.operation.inputs
+    operation = replace(read.operation, inputs=replace(u, speed=np.where(calm, 0.5 * DRIVEN, u.speed)))
+    read = replace(read, operation=operation, power=np.where(calm, np.nan, read.power))
+    labels = [Label(begin + DAY_S, 1, "bias", 0.3, 0.3, 0.05)]
+    fitted = fit_cell(model, read, Priors(BOUNDS), labels, (), time_grid(begin, float(made.time_s[-1])))
+    asked: list[Any] = []
+    monkeypatch.setattr(station_fit, "undeclared_changes", lambda _, blocks, *__: asked.append(blocks) or ())
+    undeclared_jumps(fitted, SimpleNamespace(time_s=made.time_s, columns={}), Priors(BOUNDS), labels, ())
+    (blocks,) = asked
+    late = blocks.time_s > begin + 4.1 * DAY_S
+    assert np.isfinite(fitted.blocks.outlet[late]).any()
+    assert not np.isfinite(blocks.outlet[late]).any() and np.isfinite(blocks.outlet[~late]).mean() > 0.9
