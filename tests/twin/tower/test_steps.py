@@ -147,3 +147,13 @@ def test_a_basin_that_moves_by_itself_in_the_same_hours_is_no_witness(moved_K: f
         second = residuals(rng, 24 * 4)[1] + moved_K * (t >= at + later_s)
         (step,) = [s for s in find_steps(t, r - 0.56 * (t >= at), second) if s.lasting]
         assert step.kind == "thermometer" and (step.alone or later_s > 0.0)
+
+
+def test_a_basin_that_often_moves_by_as_much_is_no_witness() -> None:
+    """It happens to go the same way in the minutes of the step."""
+    rng = np.random.default_rng(22)
+    t, r = residuals(rng, 24 * 4)
+    at = 50.0 * 3600.0
+    turns = np.where((t - at) % (6 * 3600.0) < 3 * 3600.0, 0.25, -0.25)  # a cell of the same basin comes and goes
+    (step,) = [s for s in find_steps(t, r + 0.5 * (t >= at), residuals(rng, 24 * 4)[1] + turns) if s.lasting]
+    assert (step.kind, step.alone) == ("thermometer", True)

@@ -94,6 +94,7 @@ def find_steps(time_s: Array, residual: Array, second: Array | None = None) -> l
     at, value = _with_held(t, r)
     level = _level_before(t, r, at)
     differences = _differences(t, r)
+    moves = (np.zeros(0), np.zeros(0)) if other is None else _short_differences(t, other)
     found: list[Step] = []
     up = down = 0.0
     began_up = began_down = at[0]
@@ -110,7 +111,9 @@ def find_steps(time_s: Array, residual: Array, second: Array | None = None) -> l
         if max(up, down) >= limit:
             start = float(began_up if up > down else began_down)
             least = max(CONFIRMED * SMALLEST_K, UNUSUAL * _usual(*differences, start))
-            step = _step(t, r, other, start, float(at[i]), float(level[i]), least)
+            step = _step(t, r, start, float(at[i]), float(level[i]), least)
+            if other is not None:
+                step = _with_second(step, t, other, _unusual(*moves, start))
             first, alarm = (_clock_time(clock_s, t, one) for one in (step.start_s, step.alarm_s))
             k = int(np.searchsorted(clock_s, first))
             stopped = 0 < k < len(clock_s) and clock_s[k] == first and first - clock_s[k - 1] > LONG_STOP_S
@@ -179,25 +182,28 @@ def _usual(at: Array, differences: Array, step_s: float) -> float:
     return 1.4826 * float(np.median(np.abs(differences[apart]))) if apart.any() else 0.0
 
 
-def _step(t: Array, r: Array, other: Array | None, start: float, alarm: float, level: float, least: float) -> Step:
+def _step(t: Array, r: Array, start: float, alarm: float, level: float, least: float) -> Step:
     after = (t >= start) & (t <= start + CONFIRM_S)
     size = float(np.median(r[after])) - level
     days = _day_difference(t, r, start)
     lasting = bool(after.sum() >= 3 and min(abs(size), abs(days)) >= least and size * days > 0.0)
-    share = np.nan if other is None else _share_of(t, other, start, size)
-    same = abs(share - 1.0) <= SECOND_SHARE
-    kind, alone = "water" if same else "thermometer", not (same or abs(share) < SECOND_SHARE)
-    return Step(start, alarm, size, lasting, kind, alone)
+    return Step(start, alarm, size, lasting)
 
 
-def _share_of(t: Array, other: Array, start: float, size: float) -> float:
-    """Return the share of a step that a second thermometer shows; NaN where it has too few readings, or has moved at
-    another time of these hours."""
+def _with_second(step: Step, t: Array, other: Array, limit: float) -> Step:
+    """Return a step with its class by a second thermometer, which moves by up to `limit` K in such hours by itself.
+
+    It tells nothing where it has too few readings, or has moved by another size, at another time or no more than it
+    does by itself.
+    """
     there = np.isfinite(other)
-    moved = _short_difference(t[there], other[there], start, np.nan)
-    if not abs(moved) > SECOND_SHARE * abs(size):
-        return moved / size
-    return moved / size if abs(_split(t[there], other[there], start) - start) <= APART_S else np.nan
+    moved = _short_difference(t[there], other[there], step.start_s, np.nan)
+    share = moved / step.size
+    if abs(share) < SECOND_SHARE:
+        return replace(step, alone=False)
+    same = abs(share - 1.0) <= SECOND_SHARE and abs(moved) > limit
+    same = same and abs(_split(t[there], other[there], step.start_s) - step.start_s) <= APART_S
+    return replace(step, kind="water", alone=False) if same else step
 
 
 def with_fan(steps: Sequence[Step], time_s: Array, power: Array) -> list[Step]:
@@ -217,14 +223,11 @@ def with_fan(steps: Sequence[Step], time_s: Array, power: Array) -> list[Step]:
     if len(clock_s) < 2 * FEWEST:
         return list(steps)
     t = running_time(clock_s)
-    at = np.arange(t[0] + BASE_S, t[-1] - BASE_S, 0.25 * DAY_S)
-    usual = np.array([_short_difference(t, r, one) for one in at])
+    usual = _short_differences(t, r)
     found = []
     for step in steps:
         start_s = float(np.interp(step.start_s, clock_s, t))
-        size = _short_difference(t, r, start_s)
-        apart = np.abs(at - start_s) >= 0.5 * DAY_S
-        limit = UNUSUAL * 1.4826 * float(np.median(np.abs(usual[apart]))) if apart.any() else np.inf
+        size, limit = _short_difference(t, r, start_s), _unusual(*usual, start_s)
         fan = step.kind == "thermometer" and abs(size) > limit > 0.0
         fan = fan and abs(_split(t, r, start_s) - start_s) <= APART_S
         found.append(replace(step, kind="fan", power=size) if fan else step)
@@ -238,6 +241,19 @@ def _short_difference(t: Array, r: Array, at: float, unknown: float = 0.0) -> fl
     if min(middle - first, last - middle) < FEWEST:
         return unknown
     return float(np.median(r[middle:last]) - np.median(r[first:middle]))
+
+
+def _short_differences(t: Array, r: Array) -> tuple[Array, Array]:
+    """Return times every quarter of a day, and `_short_difference` at each."""
+    at = np.arange(t[0] + BASE_S, t[-1] - BASE_S, 0.25 * DAY_S)
+    there = np.isfinite(r)
+    return at, np.array([_short_difference(t[there], r[there], one) for one in at])
+
+
+def _unusual(at: Array, differences: Array, step_s: float) -> float:
+    """Return the difference within hours beyond the usual ones, those that a step does not enter."""
+    apart = np.abs(at - step_s) >= BASE_S
+    return UNUSUAL * 1.4826 * float(np.median(np.abs(differences[apart]))) if apart.any() else np.inf
 
 
 def _split(t: Array, r: Array, at: float) -> float:
