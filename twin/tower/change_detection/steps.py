@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.tower.air import Array
+from twin.tower.smoother import RATE_D
 
 SMALLEST_K = 0.5
 """Step that is to be found."""
@@ -44,10 +45,11 @@ DAY_S = 86400.0
 LONG_STOP_S = 0.5 * DAY_S
 """Time without a steady reading that counts as `APART_S`, so that a level before it is a level of the day before."""
 UNUSUAL = 4.0
-"""Standard deviations of the usual differences between one day's median and the next, above which a step stands: the
-twin's own error moves from day to day with the weather, a thermometer's step stays."""
+"""Standard deviations of the usual differences within hours above which a fan or a basin has moved."""
 CONFIRMED = 0.4
 """Share of the smallest step by which the median of three hours after must differ for the step to stand."""
+FEWEST_DAYS = 4
+"""Differences between days, a quarter of one apart, that tell the usual size where other days have steps as well."""
 FEWEST = 8
 SECOND_SHARE = 0.5
 """Share of a step within which a second thermometer must show the same one for it to be one of the water, and at most
@@ -93,8 +95,6 @@ def find_steps(time_s: Array, residual: Array, second: Array | None = None) -> l
     slack, limit = max(SLACK_K, NOISE[0] * sigma), max(LIMIT_K, NOISE[1] * sigma)
     at, value = _with_held(t, r)
     level = _level_before(t, r, at)
-    differences = _differences(t, r)
-    moves = (np.zeros(0), np.zeros(0)) if other is None else _short_differences(t, other)
     found: list[Step] = []
     up = down = 0.0
     began_up = began_down = at[0]
@@ -110,18 +110,53 @@ def find_steps(time_s: Array, residual: Array, second: Array | None = None) -> l
         up, down = (max(up + more, 0.0), 0.0) if x > 0.0 else (0.0, max(down + more, 0.0))
         if max(up, down) >= limit:
             start = float(began_up if up > down else began_down)
-            least = max(CONFIRMED * SMALLEST_K, UNUSUAL * _usual(*differences, start))
-            step = _step(t, r, start, float(at[i]), float(level[i]), least)
-            if other is not None:
-                step = _with_second(step, t, other, _unusual(*moves, start))
-            first, alarm = (_clock_time(clock_s, t, one) for one in (step.start_s, step.alarm_s))
-            k = int(np.searchsorted(clock_s, first))
-            stopped = 0 < k < len(clock_s) and clock_s[k] == first and first - clock_s[k - 1] > LONG_STOP_S
-            since = float(clock_s[k - 1]) if stopped else first
-            found.append(replace(step, start_s=first, alarm_s=alarm, since_s=since))
+            size = float(np.median(r[(t >= start) & (t <= start + CONFIRM_S)])) - float(level[i])
+            found.append(Step(start, float(at[i]), size, False))
             up = down = 0.0
             quiet_until = at[i] + CONFIRM_S
+    found = _with_lasting(found, t, r)
+    if other is not None:
+        moves = _short_differences(t, other)
+        found = [_with_second(step, t, other, _unusual(*moves, step.start_s)) for step in found]
+    return [_by_clock(step, clock_s, t) for step in found]
+
+
+def _with_lasting(steps: Sequence[Step], t: Array, r: Array) -> list[Step]:
+    """Return the steps with whether each has stayed, by the difference of the days about it.
+
+    With a step of size s that difference d is normal about s, without one about 0, in both cases with the usual
+    standard deviation u of differences that no step enters. So the log odds of a step rise by (2 d s - s^2) / (2 u^2);
+    those before are the rate of steps over that of reports in this record.
+    """
+    at, differences = _differences(t, r)
+    smallest = CONFIRMED * SMALLEST_K
+    days = [_day_difference(t, r, one.start_s) for one in steps]
+    stayed = [min(abs(s.size), abs(d)) >= smallest and s.size * d > 0.0 for s, d in zip(steps, days, strict=True)]
+    away = np.array([np.abs(at - s.start_s) >= DAY_S for s in steps]).reshape(len(steps), len(at))
+    beside_all = away[stayed].all(axis=0)
+    before = np.log(RATE_D["bias"] * max((t[-1] - t[0]) / DAY_S, 1.0) / max(len(steps), 1))
+    found = []
+    for one, day, alike, apart in zip(steps, days, stayed, away, strict=True):
+        rows = apart & beside_all
+        usual = max(_spread(differences[rows if rows.sum() >= FEWEST_DAYS else apart]), 1e-3)
+        odds = before + (2.0 * day * one.size - one.size**2) / (2.0 * usual**2)
+        after = (t >= one.start_s) & (t <= one.start_s + CONFIRM_S)
+        lasting = alike and after.sum() >= 3 and odds > 0.0
+        found.append(replace(one, lasting=bool(lasting)))
     return found
+
+
+def _spread(values: Array) -> float:
+    """Return the robust standard deviation of values about zero, 0 of none."""
+    return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
+
+
+def _by_clock(step: Step, clock_s: Array, t: Array) -> Step:
+    """Return a step in running time with its times by the clock."""
+    first, alarm = (_clock_time(clock_s, t, one) for one in (step.start_s, step.alarm_s))
+    k = int(np.searchsorted(clock_s, first))
+    stopped = 0 < k < len(clock_s) and clock_s[k] == first and first - clock_s[k - 1] > LONG_STOP_S
+    return replace(step, start_s=first, alarm_s=alarm, since_s=float(clock_s[k - 1]) if stopped else first)
 
 
 def running_time(time_s: Array) -> Array:
@@ -173,21 +208,6 @@ def _differences(t: Array, r: Array) -> tuple[Array, Array]:
         return np.zeros(0), np.zeros(0)
     at = np.arange(t[0] + DAY_S, t[-1] - DAY_S, 0.25 * DAY_S)
     return at, np.array([_day_difference(t, r, one) for one in at])
-
-
-def _usual(at: Array, differences: Array, step_s: float) -> float:
-    """Return the robust standard deviation of the differences between days that a step does not enter, K; 0 without
-    any."""
-    apart = np.abs(at - step_s) >= DAY_S
-    return 1.4826 * float(np.median(np.abs(differences[apart]))) if apart.any() else 0.0
-
-
-def _step(t: Array, r: Array, start: float, alarm: float, level: float, least: float) -> Step:
-    after = (t >= start) & (t <= start + CONFIRM_S)
-    size = float(np.median(r[after])) - level
-    days = _day_difference(t, r, start)
-    lasting = bool(after.sum() >= 3 and min(abs(size), abs(days)) >= least and size * days > 0.0)
-    return Step(start, alarm, size, lasting)
 
 
 def _with_second(step: Step, t: Array, other: Array, limit: float) -> Step:
@@ -253,7 +273,7 @@ def _short_differences(t: Array, r: Array) -> tuple[Array, Array]:
 def _unusual(at: Array, differences: Array, step_s: float) -> float:
     """Return the difference within hours beyond the usual ones, those that a step does not enter."""
     apart = np.abs(at - step_s) >= BASE_S
-    return UNUSUAL * 1.4826 * float(np.median(np.abs(differences[apart]))) if apart.any() else np.inf
+    return UNUSUAL * _spread(differences[apart]) if apart.any() else np.inf
 
 
 def _split(t: Array, r: Array, at: float) -> float:
