@@ -60,8 +60,8 @@ nothing."""
 @dataclass(frozen=True)
 class Step:
     """A step: when it began, when it was reported, its size K, whether it stayed, and its class: thermometer, water or
-    fan. `alone`: no second thermometer of the water was there. `power`: step of the fan's power, of its logarithm.
-    `since_s`: the last reading before a long stop in which it happened at an unknown time, else when it began."""
+    fan. `alone`: no second thermometer of the water tells its class. `power`: step of the fan's power, of its
+    logarithm. `since_s`: the last reading before a long stop in which it happened at some time, else when it began."""
 
     start_s: float
     alarm_s: float
@@ -216,6 +216,8 @@ def _with_second(step: Step, t: Array, other: Array, limit: float) -> Step:
     It tells nothing where it has too few readings, or has moved by another size, at another time or no more than it
     does by itself.
     """
+    if not step.lasting:
+        return step
     there = np.isfinite(other)
     moved = _short_difference(t[there], other[there], step.start_s, np.nan)
     share = moved / step.size
