@@ -94,5 +94,36 @@ def test_a_constant_tag_of_a_station_stays_and_is_named() -> None:
     assert any("F1 stands at 300 m3/h" in text for text in found.remarks)
 
 
+@pytest.mark.parametrize("name", ["F1", "F2"])
+def test_a_flow_at_zero_while_its_cell_works_is_stuck_and_a_cell_at_rest_is_none(name: str) -> None:
+    rng = np.random.default_rng(43)
+    plant = instruments(rng, 16.0)
+    on = next(one.truth for one in plant if one.tag.name == f"ON{name[1]}") > 0.5
+    at = float(np.flatnonzero(np.convolve(on, np.ones(601), mode="same") > 600.5)[0] - 200) * 60.0 + START_S
+    store = []
+    for one in plant:
+        time_s, value = scanned(one, rng)
+        inside = (time_s > at) & (time_s < at + 6 * 3600.0)
+        store.append(archived(one, (time_s, np.where(inside & (one.tag.name == name), 0.0, value))))
+    (found,) = _repaired(store).defects
+    assert (found.kind, found.tags) == ("stuck", (name,)) and "while its cell's fan turned" in found.says
+    assert found.start_s == pytest.approx(at, abs=600.0) and found.end_s == pytest.approx(at + 6 * 3600.0, abs=900.0)
+
+
+def test_a_fan_that_often_turns_without_a_flow_is_a_habit(moving: Array) -> None:
+    """As it dries the cell, or where the meter is in a line of its own."""
+    rest = (np.arange(4800) % 1200) > 900
+    warm = _series("water_inlet_temperature", "degC", moving)
+    cold, fan = replace(warm, value=moving - 6.0), _series("fan_speed", "%", moving)
+    cold = replace(cold, tag=replace(cold.tag, role="water_outlet_temperature"))
+    flow = _series("water_flow", "m3/h", np.where(rest, 0.0, 300.0 + moving))
+    once = replace(flow, value=np.where(rest & (np.arange(4800) > 3600), 0.0, 300.0 + moving))
+    assert len(_stuck(once, warm, cold, fan)) == 1
+    idle = replace(fan, value=np.where(rest & (np.arange(4800) < 3600), 0.0, moving))
+    assert len(_stuck(flow, warm, cold, idle)) == 1
+    dried = replace(cold, value=np.where(rest & (np.arange(4800) < 3600), moving, moving - 6.0))
+    assert _stuck(flow, warm, dried, fan) == []
+
+
 def _repaired(store: list[Series]) -> Repaired:
     return find_and_repair(store, timezone=ZONE, pressure_kPa=95.0)

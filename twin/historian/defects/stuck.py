@@ -13,7 +13,7 @@ pump. It is stuck only if what it measures must have moved, as other tags of its
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,9 @@ REST_RUNS = 2
 """Other long runs, of a quarter of the length, at the same value, from which the tag is said to rest there."""
 
 
+SPUN, WORKS, COOLS = 0.1, 0.9, 0.5
+"""Share of its usual top at which a fan turns; share of a span in which it turns in a cell at work, and share of the
+usual difference of inlet and outlet there: standing water comes to one temperature."""
 CONSTANT = 0.99
 """Share of the samples at work that have the one value of a constant tag; the others are ramps of starts and stops."""
 
@@ -112,6 +115,7 @@ def stuck_values(series: Series, others: Sequence[Series] = ()) -> list[Defect]:
     constant = constant_value(series)
     if constant is not None:
         return _contradicted(series, constant, others)
+    found = _zero_at_work(series, others)
     first, last, end = _runs(series)
     value, start = series.value[first], series.time_s[first]
     held = series.time_s[last] - start
@@ -119,7 +123,6 @@ def stuck_values(series: Series, others: Sequence[Series] = ()) -> list[Defect]:
     at_work = np.abs(value) > AT_REST * top
     chosen = _set_off(held, at_work)
     saturates = "humidity" not in series.tag.role  # a latched humidity stands at its end; the other sensor decides
-    found = []
     for k in chosen:
         lively = _expected(series.time_s, float(start[k]), float(end[k])) > LIVELY
         if not lively and _by_chance(series, first, last, at_work, k) > CHANCE:
@@ -151,6 +154,55 @@ def _contradicted(series: Series, value: float, others: Sequence[Series]) -> lis
             )
             return [Defect("stuck", (series.tag.name,), start, end, says, "left out")]
     return []
+
+
+def _zero_at_work(series: Series, others: Sequence[Series]) -> list[Defect]:
+    """Return the spans in which a flow is at rest while its cell's fan turns and the water cools as it usually does.
+
+    A cell at rest has no flow, and its fan stands. Where the fan often turns without a flow, that is the cell's habit.
+    """
+    spin = _of_cell(series, others, "fan_speed") or _of_cell(series, others, "fan_power")
+    inlet, outlet = (_of_cell(series, others, f"water_{end}_temperature") for end in ("inlet", "outlet"))
+    if series.tag.role != "water_flow" or spin is None or inlet is None or outlet is None:
+        return []
+    rest = np.abs(series.value) <= AT_REST * float(np.quantile(np.abs(series.value), 0.98))
+    edge = np.diff(np.concatenate([[0], rest.astype(np.int8), [0]]))
+    first, last = np.flatnonzero(edge == 1), np.flatnonzero(edge == -1) - 1
+    long = series.time_s[last] - series.time_s[first] >= LEAST_S
+    spans = [(float(series.time_s[a]), float(series.time_s[b])) for a, b in zip(first[long], last[long], strict=True)]
+
+    def level(of: Series, at: Array) -> Array:
+        return of.value[np.clip(np.searchsorted(of.time_s, at, side="right") - 1, 0, None)]
+
+    turning = np.abs(spin.value) > SPUN * float(np.quantile(np.abs(spin.value), 0.98))
+    fan = replace(spin, value=turning.astype(np.float64))
+    work = series.time_s[~rest]
+    usual = float(np.median(level(inlet, work) - level(outlet, work))) if len(work) else 0.0
+    grids = [np.linspace(*span, 101) for span in spans]
+    turned = [float(level(fan, grid).mean()) for grid in grids]
+    cooled = [float(np.median(level(inlet, grid) - level(outlet, grid))) for grid in grids]
+    wrong = [t >= WORKS and c >= COOLS * usual > 0.0 for t, c in zip(turned, cooled, strict=True)]
+    if sum(t >= 0.5 for t, bad in zip(turned, wrong, strict=True) if not bad) >= REST_RUNS or sum(wrong) > MOST:
+        return []
+    tag = series.tag
+    return [
+        Defect(
+            "stuck",
+            (tag.name,),
+            *span,
+            f"{tag.name} stood at 0 {tag.unit} for {(span[1] - span[0]) / 3600.0:.1f} h, while its cell's fan turned "
+            "and the water cooled as usual",
+            "left out",
+        )
+        for span, bad in zip(spans, wrong, strict=True)
+        if bad
+    ]
+
+
+def _of_cell(series: Series, others: Sequence[Series], role: str) -> Series | None:
+    """Return the tag of a role of the same cell; None without one of some samples."""
+    there = (one for one in others if one.tag.role == role and one.tag.cell == series.tag.cell)
+    return next((one for one in there if len(one.time_s) >= 2), None)
 
 
 def _commanded(series: Series, others: Sequence[Series], start: float, end: float) -> bool:
