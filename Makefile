@@ -45,7 +45,7 @@ demo-tower: $(STAMP)
 	$(BIN)/hil tower report $(TOWER)/out --truth $(STATION)/truth.parquet \
 		--labels $(STATION)/labels.csv --picture $(TOWER)/cell1.png
 
-# Three workers on two cores: many tests wait for clocks. A file's fixtures (a rig, a run) are made once, and the files
+# Four workers on two cores: many tests wait for clocks. A file's fixtures (a rig, a run) are made once, and the files
 # that take longest come first (tests/durations.txt, which `make test PYTEST=--write-durations` measures anew).
 # The tests start hundreds of processes, so the sources are compiled to bytecode once before, also where the
 # environment forbids Python to write it.
@@ -53,7 +53,7 @@ XDIST := --dist loadfile --no-loadscope-reorder
 test test-fast: export PYTHONDONTWRITEBYTECODE :=
 test: $(STAMP)
 	$(BIN)/python -m compileall -q -j 0 hil drivers twin
-	$(BIN)/python -m pytest -n 3 $(XDIST) $(PYTEST)
+	$(BIN)/python -m pytest -n 4 $(XDIST) $(PYTEST)
 
 # For the inner loop, under two minutes: everything but the slow tests. A part: `make test-fast PYTEST=tests/drivers`.
 test-fast: $(STAMP)

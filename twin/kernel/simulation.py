@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from twin.elements.base import STAMP
 from twin.kernel.cache import compile_kernel
 from twin.kernel.codegen import FEW_LANES, LANES, Mode, kernel_source
+from twin.kernel.integrators import MOST_STEPS, STEP_LIMIT
 from twin.kernel.state_layout import StateLayout
 from twin.network import Array, Network, TwinFileError
 
@@ -19,6 +20,12 @@ CHUNK = 4096
 STIFF = 128.0
 """Sample interval in shortest time constants beyond which the linearly implicit method is used: an explicit one would
 take four times as many substeps, each of which costs little less."""
+FEW_INTERVALS = 64
+"""Intervals of a call up to which the explicit method is used where it can reach: its cost is small, and the median of
+a few intervals is not that of their record, whose pieces have to give what the whole gives."""
+REACH = 0.1 * MOST_STEPS * STEP_LIMIT
+"""Interval in shortest time constants that the explicit method reaches in any case: the norms by which it counts its
+substeps may be ten times the largest rate."""
 
 
 class Kernel:
@@ -209,8 +216,7 @@ class _Call:
         self.time, self.inputs = layout.with_history(history, time, inputs)
         self.inputs = with_stamps(layout.network, self.time, self.inputs)
         self.first = len(self.time) - len(time)
-        intervals = np.diff(time)
-        self.stiff = bool(len(intervals)) and float(np.median(intervals)) * layout.fastest > STIFF
+        self.stiff = _is_stiff(np.diff(time), layout.fastest)
         self.end = np.empty((self.blocks, self._start.shape[1], lanes))
         self.no_future = np.empty((0, 0, 0))
         self.future = np.empty((self.blocks if layout.rows else 0, layout.rows, lanes))
@@ -240,6 +246,14 @@ class _Call:
         """Return the full states (P, size) at the last sample."""
         history = self.layout.recent_commands(self.time, self.inputs)
         return self.layout.join(self.particles(self.end), self.particles(self.future), history)
+
+
+def _is_stiff(intervals: Array, fastest: float) -> bool:
+    """Return True where the linearly implicit method is to take these intervals (n - 1,), s, of a network whose largest
+    rate is `fastest`, 1/s."""
+    if not len(intervals) or float(np.median(intervals)) * fastest <= STIFF:
+        return False
+    return len(intervals) > FEW_INTERVALS or float(intervals.max()) * fastest > REACH
 
 
 def simulate(
