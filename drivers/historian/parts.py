@@ -93,7 +93,7 @@ class Parts:
                 continue
             self._delete(superseded(self.folder.glob("samples-*.parquet")))
             merged = self._named(files[0][0].first, files[-1][0].last)
-            _write(pa.concat_tables([pq.read_table(part.path) for part, _ in files]), merged.path)
+            _write(pa.concat_tables([pq.ParquetFile(part.path).read() for part, _ in files]), merged.path)
             self._classes[k] = []
             if k + 1 == len(self._classes):
                 self._classes.append([])

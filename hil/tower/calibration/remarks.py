@@ -48,14 +48,17 @@ def gap_sentences(read_s: Array) -> tuple[str, ...]:
 
 def step_sentence(step: Step) -> str:
     """Return a sentence on a lasting step, with what stepped."""
+    when = f"at {iso(step.start_s)}"
+    if step.stop_s > 0.0:
+        when = f"between {iso(step.since_s)} and {iso(step.start_s)}, without a steady reading in between"
     if step.kind == "fan":
         return (
-            f"the outlet stepped by {step.size:+.2f} K at {iso(step.start_s)}, and the fan's power by "
+            f"the outlet stepped by {step.size:+.2f} K {when}, and the fan's power by "
             f"{100 * np.expm1(step.power):+.1f} % in the same minutes: the air flow changed, not the thermometer"
         )
     what = "the water" if step.kind == "water" else "the outlet thermometer"
     what += " or the water" if step.kind == "thermometer" and step.alone else ""
-    return f"{what} stepped by {step.size:+.2f} K at {iso(step.start_s)}"
+    return f"{what} stepped by {step.size:+.2f} K {when}"
 
 
 def contradiction_sentence(one: Contradiction, bound: float) -> str:

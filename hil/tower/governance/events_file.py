@@ -163,7 +163,7 @@ def _calibrated(result: CellResult) -> Iterator[dict[str, Any]]:
     for step in result.steps:
         if step.lasting:
             more = {"text": step_sentence(step), "parameters": STEP_MOVES[step.kind]}
-            yield _entry(result.cell, f"{step.kind}_step", CALIBRATION, step.start_s, step.alarm_s, **more)
+            yield _entry(result.cell, f"{step.kind}_step", CALIBRATION, step.since_s, step.alarm_s, **more)
     for change in result.changes:
         text = f"the {change.parameter} changed, and no entry explains it"
         more = {"text": text, "parameters": [change.parameter]}

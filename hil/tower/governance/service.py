@@ -311,7 +311,7 @@ def _queue(
                     "time": iso(step.alarm_s),
                     "cell": result.cell,
                     "event": f"{step.kind}_step",
-                    "from": iso(step.start_s),
+                    "from": iso(step.since_s),
                     "size_K": round(step.size, 2),
                     "text": step_sentence(step),
                     "codes": [STEP_CODES[step.kind]],

@@ -1,4 +1,4 @@
-"""Undeclared changes of a cell: they are told by the hours in which its fan turns, as the twin knows it then."""
+"""Undeclared changes of a cell: found in the hours in which its fan turns, and with the time that is known of them."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from hil.tower.calibration import station_fit
+from hil.tower.calibration.remarks import step_sentence
 from hil.tower.calibration.station_fit import DRIVEN, undeclared_jumps
 from tests.twin.tower.made_cell import made_cell
 from tests.twin.tower.test_calibration import M_W0 as WATER
 from tests.twin.tower.test_calibration import SITE, clean, minutes
 from twin.tower.calibration import fit_cell
 from twin.tower.cell_observations.evidence import Label
+from twin.tower.change_detection.steps import Step
 from twin.tower.clean_cell.commissioning import fit_clean_cell
 from twin.tower.estimates import DAY_S, Priors, time_grid
 from twin.tower.model import CellModel
@@ -39,3 +41,11 @@ def test_hours_of_free_convection_are_no_change_of_the_cell(monkeypatch: pytest.
     late = blocks.time_s > begin + 4.1 * DAY_S
     assert np.isfinite(fitted.blocks.outlet[late]).any()
     assert not np.isfinite(blocks.outlet[late]).any() and np.isfinite(blocks.outlet[~late]).mean() > 0.9
+
+
+def test_a_step_within_a_stop_has_the_ends_of_the_stop_and_no_minute() -> None:
+    at = 1.66e9 // 86400 * 86400
+    seen = Step(at, at + 300.0, 0.45, True)
+    assert step_sentence(seen) == "the outlet thermometer or the water stepped by +0.45 K at 2022-08-08T00:00:00Z"
+    within = step_sentence(replace(seen, stop_s=1.5 * DAY_S))
+    assert "between 2022-08-06T12:00:00Z and 2022-08-08T00:00:00Z, without a steady reading in between" in within

@@ -37,8 +37,6 @@ AT_REST = 0.02
 """Share of the 98 % quantile: at rest below it."""
 REST_RUNS = 2
 """Other long runs, of a quarter of the length, at the same value, from which the tag is said to rest there."""
-
-
 SPUN, WORKS, COOLS = 0.1, 0.9, 0.5
 """Share of its usual top at which a fan turns; share of a span in which it turns in a cell at work, and share of the
 usual difference of inlet and outlet there: standing water comes to one temperature."""

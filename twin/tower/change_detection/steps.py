@@ -61,7 +61,7 @@ nothing."""
 class Step:
     """A step: when it began, when it was reported, its size K, whether it stayed, and its class: thermometer, water or
     fan. `alone`: no second thermometer of the water tells its class. `power`: step of the fan's power, of its
-    logarithm. `since_s`: the last reading before a long stop in which it happened at some time, else when it began."""
+    logarithm. `stop_s`: how long no steady reading was there before `start_s`, within which it happened; else 0."""
 
     start_s: float
     alarm_s: float
@@ -70,7 +70,12 @@ class Step:
     kind: str = "thermometer"
     alone: bool = True
     power: float = 0.0
-    since_s: float = np.nan
+    stop_s: float = 0.0
+
+    @property
+    def since_s(self) -> float:
+        """Return the earliest time at which it may have happened."""
+        return self.start_s - self.stop_s
 
 
 def find_steps(time_s: Array, residual: Array, second: Array | None = None) -> list[Step]:
@@ -155,8 +160,8 @@ def _by_clock(step: Step, clock_s: Array, t: Array) -> Step:
     """Return a step in running time with its times by the clock."""
     first, alarm = (_clock_time(clock_s, t, one) for one in (step.start_s, step.alarm_s))
     k = int(np.searchsorted(clock_s, first))
-    stopped = 0 < k < len(clock_s) and clock_s[k] == first and first - clock_s[k - 1] > LONG_STOP_S
-    return replace(step, start_s=first, alarm_s=alarm, since_s=float(clock_s[k - 1]) if stopped else first)
+    gap = first - float(clock_s[k - 1]) if 0 < k < len(clock_s) and clock_s[k] == first else 0.0
+    return replace(step, start_s=first, alarm_s=alarm, stop_s=gap if gap > LONG_STOP_S else 0.0)
 
 
 def running_time(time_s: Array) -> Array:
