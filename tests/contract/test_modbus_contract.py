@@ -18,6 +18,8 @@ from tests.contract.wires import TIMEOUT_S, TRANSPORTS, wired
 
 pytestmark = pytest.mark.parametrize("transport", TRANSPORTS)
 Maker = Callable[[random.Random, float], Change]
+PATIENT_S = 3.0
+"""Deadline of a reply where none is missing: a busy machine pauses for longer than `TIMEOUT_S`."""
 
 
 @pytest.fixture
@@ -32,20 +34,20 @@ def garbled(generator: random.Random, share: float) -> Change:
 
 
 async def test_values_are_right_read_after_read(on):
-    async with on() as rig:
+    async with on(timeout_s=PATIENT_S) as rig:
         for _ in range(30):
             assert set((await rig.read()).quality) == {Quality.GOOD}
 
 
 async def test_writes_are_confirmed_and_read_back(on):
-    async with on() as rig:
+    async with on(timeout_s=PATIENT_S) as rig:
         await rig.bus.write({"set": 700, "beat": 7, "timeout": 90})
         assert rig.registers.holding[1:5] == [700, 0, 7, 90]
         assert await rig.bus.read_back(("set", "beat", "timeout")) == {"set": 700, "beat": 7, "timeout": 90}
 
 
 async def test_function_23_writes_and_reads_back_in_one_request(on):
-    async with on(read_write=True) as rig:
+    async with on(read_write=True, timeout_s=PATIENT_S) as rig:
         seen: list[int] = []
 
         def note(frame: bytes) -> list[tuple[float, bytes]]:
@@ -61,7 +63,7 @@ async def test_function_23_writes_and_reads_back_in_one_request(on):
 
 
 async def test_a_device_without_function_23_is_asked_twice_from_then_on(on):
-    async with on(read_write=True) as rig:
+    async with on(read_write=True, timeout_s=PATIENT_S) as rig:
         seen: list[int] = []
 
         def none(frame: bytes) -> list[tuple[float, bytes]]:
@@ -75,14 +77,14 @@ async def test_a_device_without_function_23_is_asked_twice_from_then_on(on):
 
 
 async def test_a_late_reply_within_the_deadline_is_used(on):
-    async with on() as rig:
+    async with on(timeout_s=PATIENT_S) as rig:
         rig.break_by(replies.late(random.Random(1), 1.0, 0.03, 0.05), any_frame=True)
         for _ in range(3):
             assert set((await rig.read()).quality) == {Quality.GOOD}
 
 
 async def test_a_reply_in_single_bytes_is_put_together(on):
-    async with on() as rig:
+    async with on(timeout_s=PATIENT_S) as rig:
         rig.break_by(replies.split_up(random.Random(1), 1.0), any_frame=True)
         for _ in range(5):
             assert set((await rig.read()).quality) == {Quality.GOOD}
@@ -205,7 +207,7 @@ async def test_a_refusal_is_an_error_with_its_code(on):
 
 
 async def test_a_busy_device_is_asked_again(on):
-    async with on() as rig:
+    async with on(timeout_s=PATIENT_S) as rig:
         left = [2]
 
         def busy(frame: bytes) -> list[tuple[float, bytes]]:
@@ -275,7 +277,7 @@ async def test_a_storm_of_faults_gives_no_wrong_value_and_nothing_foreign_is_rai
 
 
 async def test_a_reply_that_comes_once_more_while_nothing_is_asked_is_not_the_next_answer(on):
-    async with on(max_read=12) as rig:
+    async with on(max_read=12, timeout_s=PATIENT_S) as rig:
         await rig.good_again(2.0)
         for _ in range(5):
             rig.break_by(lambda frame: [(0.0, frame), (0.004, frame)], any_frame=True)
