@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before the first import of numpy, which reads it once
+
 import asyncio
 import gc
 import logging
-import os
 import signal
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
@@ -17,7 +20,6 @@ import pytest_asyncio
 
 from tests import durations, same_questions
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `hil` has it, and for the same reason
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell starts what runs in its background deaf to Ctrl-C, and so would be every process that a test interrupts.
     signal.signal(signal.SIGINT, signal.default_int_handler)
