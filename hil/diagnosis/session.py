@@ -22,7 +22,7 @@ from hil.diagnosis.results import provenance, write, write_data
 from hil.diagnosis.revision import revise, write_proposal
 from hil.journal import record_sha256
 from hil.record import ReadingOptions, read_record
-from hil.record.values import open_questions
+from hil.record.values import UnitQuestion, open_questions
 from twin import Network, TwinFileError, load
 from twin.discovery import (
     FLOW_MEASURED,
@@ -31,6 +31,7 @@ from twin.discovery import (
     Limits,
     NotHealthyError,
     TooShortError,
+    column_mistakes,
     diagnose,
     diagnose_grown,
     errors_on_further_record,
@@ -184,7 +185,9 @@ def diagnose_files(ready: PreparedDiagnosis, say: Callable[[str], None], note: C
     except TwinFileError as error:
         raise TwinFileError(f"{request.record}: {error}") from None
     if not request.units_checked:
-        found = depending_on_units(found, network, messages)
+        asked = () if request.at_rest else map(UnitQuestion, column_mistakes(network, record, ready.healthy))
+        found = depending_on_units(found, network, (*asked, *messages))
+    found = dataclasses.replace(found, read=messages)
     if found.next_experiment and FLOW_MEASURED in found.next_experiment["measure"]:
         found = with_unread_flow(found, network, read_record(request.record, choice=request.choice).columns)
     if ready.stored.why:
@@ -213,21 +216,24 @@ def columns_in_use(network: Network) -> set[str]:
 
 
 def depending_on_units(found: Diagnosis, network: Network, messages: Sequence[str]) -> Diagnosis:
-    """Return `found` with the open questions of units that it depends on, and then without a certain effect.
+    """Return `found` with the open questions of columns that it depends on, and then without a certain effect.
 
-    A wrong unit of a column reads like an effect. As long as one is open, an effect is one of two explanations: the
-    verdict is `ambiguous`, and the twin gets no revision.
+    A wrong unit or heading of a column reads like an effect. As long as a question is open, an effect is one of two
+    explanations: the verdict is `ambiguous`, and the twin gets no revision.
     """
     asked = open_questions(columns_in_use(network), messages)
     if not asked:
         return found
-    open_units = f"the answer depends on an open question of units: {' '.join(asked)}"
-    warning = f"{open_units} Correct the record or its heading, or give --units-checked"
+    warning = (
+        f"the answer depends on an open question about columns: {' '.join(asked)} Correct the record or its heading, "
+        "or give --units-checked"
+    )
     found = dataclasses.replace(found, warnings=(warning, *found.warnings))
-    if found.verdict != "effect found":
+    if found.verdict == "adequate":
         return found
-    summary = f"If the units of the record are right, which is open: {found.summary}"
-    return dataclasses.replace(found, verdict="ambiguous", summary=summary, network=None)
+    verdict = found.verdict if found.verdict == "unexplained" else "ambiguous"
+    summary = f"{' '.join(asked)} If the columns are right: {found.summary}"
+    return dataclasses.replace(found, verdict=verdict, summary=summary, network=None)
 
 
 def write_results(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +16,64 @@ ORDERED = 4
 """Fewest rows between two steps back of a file in the order of a clock; rows in no order have two in the mean."""
 INTERLEAVED = 3
 """Times that a segment must pass earlier rows: fewer are rows that one delivery brought late."""
+
+
+def without_set_back(raw: RawRecord, axis: TimeAxis, signs: dict[str, Sign]) -> tuple[TimeAxis, list[str]]:
+    """Return the axis with times that go on where a clock was set back by a little, and a message.
+
+    The rows after it have times that the file has already and other values: the rig went on meanwhile. Left out, they
+    would take minutes out of the record without a gap. Rows with the values of those before are repeated ones, which
+    `order` leaves out, and more than `may_be_lost` may be another record.
+    """
+    rows = np.flatnonzero(np.isfinite(axis.seconds))
+    stamps = axis.seconds[rows]
+    steps = np.diff(stamps)
+    if "segment" in raw.names or not (steps < 0).any() or not (steps > 0).any():
+        return axis, []
+    second, _ = _second_segments(raw, axis, rows, signs)
+    begins = np.flatnonzero(np.diff(second.astype(np.int8), prepend=0) > 0)
+    if not len(begins) or second.sum() > may_be_lost(len(rows)):
+        return axis, []
+    typical, seconds = float(np.median(steps[steps > 0])), axis.seconds.copy()
+    back, places = [], []
+    for at in begins:
+        end = int(at) + int(np.argmin(np.append(second[at:], False)))
+        goes_on = at > 0 and end < len(stamps) and stamps[at - 1] == stamps[:at].max() and steps[at - 1] < 0.0
+        if not goes_on or _repeated(raw, rows, stamps, signs, slice(int(at), end)):
+            continue
+        seconds[rows[at] :] += typical - steps[at - 1]
+        back.append(-float(steps[at - 1]))
+        places.append(raw.place(int(rows[at])))
+    if not back:
+        return axis, []
+    again = "once" if len(back) == 1 else f"{len(back)} times"
+    said = (
+        f"{axis.column} goes back {again}, by up to {span(max(back))} (first at {places[0]}), to times that the file "
+        "has already and with other values, as a clock that was set back: the times go on there, and later ones are by "
+        "as much later than the file has them"
+    )
+    return dataclasses.replace(axis, seconds=seconds), [said]
+
+
+def _repeated(
+    raw: RawRecord,
+    rows: NDArray[np.int64],
+    stamps: NDArray[np.float64],
+    signs: dict[str, Sign],
+    block: slice,
+) -> bool:
+    """Return True if most rows of a block have the values of earlier rows at the same times."""
+    before = {float(stamp): k for k, stamp in enumerate(stamps[: block.start])}
+    pairs = [(k, before[float(stamps[k])]) for k in range(block.start, block.stop) if float(stamps[k]) in before]
+    if 2 * len(pairs) <= block.stop - block.start:
+        return False
+    here, there = (rows[[pair[side] for pair in pairs]] for side in (0, 1))
+    same = np.ones(len(pairs), dtype=np.bool_)
+    for name, cells in zip(raw.names, raw.cells, strict=True):
+        numbers = parse(cells, signs.get(name, "."))
+        if numbers is not None:
+            same &= np.equal(numbers.values[here], numbers.values[there]) | ~np.isfinite(numbers.values[here])
+    return bool(2 * same.sum() > len(same))
 
 
 def order(raw: RawRecord, axis: TimeAxis, signs: dict[str, Sign]) -> tuple[NDArray[np.int64], list[str]]:

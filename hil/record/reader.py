@@ -28,7 +28,7 @@ from hil.journal import ExportedRecord, export_record
 from hil.profile import WRITTEN_UNITS
 from hil.record.clock_jumps import clock_questions, without_jumps, without_rollovers
 from hil.record.file import read_raw
-from hil.record.order import describe_steps, order
+from hil.record.order import describe_steps, order, without_set_back
 from hil.record.plausibility import SENTINELS, without_implausible
 from hil.record.rated_columns import QUALITY, find_ratings
 from hil.record.raw import RawRecord, ReadingOptions, RecordError
@@ -148,9 +148,10 @@ def read_record(path: Path, *, at_rest: bool = False, choice: ReadingOptions | N
     messages += axis.messages
     if not at_rest:
         axis, rolled = without_rollovers(raw, axis)
+        axis, went_on = without_set_back(raw, axis, signs)
         near, said = without_jumps(raw, axis)
         axis = _restarted(axis, near)
-        messages += [*rolled, *said, *clock_questions(axis, near, choice.time_scale)]
+        messages += [*rolled, *went_on, *said, *clock_questions(axis, near, choice.time_scale)]
     rows, moved = order(raw, axis, signs)
     messages += moved
     stamps = axis.seconds[rows]

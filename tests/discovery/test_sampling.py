@@ -9,6 +9,7 @@ from tests.discovery.conftest import Bench
 from twin.discovery import diagnose
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.grid import on_grid
+from twin.kernel import Kernel
 
 
 @pytest.mark.parametrize("every", [7, 25])
@@ -17,6 +18,28 @@ def test_a_healthy_rig_that_is_sampled_seldom_is_adequate(bench: Bench, healthy:
     full, rows = bench.record(seed=5), slice(3, None, every)
     seldom = Columns(*(np.ascontiguousarray(x[rows]) for x in (full.time_s, full.inputs, full.measured)))
     assert diagnose(bench.network, seldom, healthy).verdict == "adequate"
+
+
+def switched(bench: Bench, seed: int, late_s: float, every: int = 10) -> Columns:
+    """Record of every tenth second, whose loads change up to `late_s` before the sample that shows it."""
+    network, rng = bench.network, np.random.default_rng(seed)
+    t = np.arange(0.0, 9600.0)
+    power = np.empty(len(t))
+    for k, level in enumerate(rng.choice([300.0, 900.0, 1500.0], 32)):
+        power[k * 300 - round(late_s * rng.random()) if k else 0 :] = level
+    u = np.column_stack([power, np.full(len(t), 80.0), np.full(len(t), 70.0), np.full(len(t), 22.0)])
+    read, _ = Kernel(network, ()).trace(network.values, np.array([37.0, 36.8, 34.5, 34.0]), t, u)
+    rows = slice(None, None, every)
+    measured = read[0][rows] + network.sigma * rng.normal(0.0, 1.0, read[0][rows].shape)
+    return Columns(t[rows].copy(), np.ascontiguousarray(u[rows]), measured)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_loads_that_change_between_samples_are_no_fault_where_those_in_health_changed_on_them(
+    bench: Bench, seed: int
+) -> None:
+    """A step that is logged up to ten seconds late leaves as much as a fault that lasts for half a minute."""
+    assert diagnose(bench.network, switched(bench, seed, 9.0), switched(bench, 7, 0.0)).verdict == "adequate"
 
 
 def test_a_bin_has_the_mean_over_time_of_a_held_input(bench: Bench) -> None:

@@ -133,3 +133,23 @@ def test_a_thermometer_that_drifts_beside_a_mass_at_its_place_is_a_fault_of_its_
     found = diagnose(brisk.network, record, with_six(brisk, brisk_healthy, 5))
     assert [(e.kind, e.where) for e in found.effects] == [("sensor", "T_pm3_C"), ("thermal_mass", "modules")]
     assert found.effects[0].value == pytest.approx(-0.6, abs=0.1)
+
+
+@pytest.mark.parametrize(("about_c", "gain"), [(20.0, 0.03), (0.0, -0.02), (37.0, 0.08)])
+def test_a_gain_is_told_right_wherever_its_thermometer_is_right(
+    brisk: Bench, brisk_healthy: Columns, about_c: float, gain: float
+) -> None:
+    """A thermometer that sticks a little at several levels has an error of any gain; no twin lacks that in health."""
+    record = brisk.record(16.0)
+    j = brisk.network.sensor_names.index(SENSOR)
+    measured = record.measured.copy()
+    measured[:, j] += gain * (measured[:, j] - about_c)
+    found = diagnose(brisk.network, replace(record, measured=measured), brisk_healthy)
+    (effect,) = found.effects
+    assert (found.verdict, effect.kind, effect.where, effect.driver) == (
+        "effect found",
+        "sensor",
+        SENSOR,
+        "temperature",
+    )
+    assert effect.interval90[0] - 0.002 < gain < effect.interval90[1] + 0.002

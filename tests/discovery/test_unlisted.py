@@ -67,7 +67,7 @@ def test_less_than_a_block_of_held_out_record_contradicts_nothing(
 ) -> None:
     monkeypatch.setattr(acceptance, "contradicted", lambda errors, network: True)
     case = SimpleNamespace(
-        finding=SimpleNamespace(fit=object()),
+        finding=SimpleNamespace(fit=object(), entries=()),
         known=SimpleNamespace(probe=SimpleNamespace(network=None)),
         whole=SimpleNamespace(step_s=480.0),
         grid=SimpleNamespace(time=np.arange(100), step_s=30.0),

@@ -237,3 +237,11 @@ def test_what_is_worse_than_re_tuning_is_not_said_to_foretell():
     (blocks,) = (reason for reason in reasons(tried.document()) if "held-out" in reason)
     assert "85.7 K with the best effect tried and by 1.82 K re-tuned alone: the answer does not predict it" in blocks
     assert "better" not in blocks
+
+
+def test_what_the_reader_left_out_stands_in_the_document_and_on_the_page(tmp_path):
+    said = "119 rows from line 3602 on are left out <since>"
+    write(dataclasses.replace(made(), read=(said,)), SENSORS, tmp_path, {"record": "one.csv", "seconds": 1.0})
+    assert json.loads((tmp_path / DOCUMENT).read_text())["read"] == [said]
+    text = (tmp_path / "diagnosis.html").read_text()
+    assert "Reading the record" in text and "left out &lt;since&gt;" in text

@@ -43,10 +43,19 @@ def test_a_second_segment_among_the_times_of_the_first_is_refused(
         _read(tmp_path, stamps)
 
 
-def test_a_few_rows_of_a_second_segment_are_left_out(tmp_path: Path) -> None:
+def test_the_times_go_on_where_a_clock_was_set_back_by_a_few_rows(tmp_path: Path) -> None:
     record = _read(tmp_path, [*_from(0, 100), *_from(943, 100)])
-    assert np.diff(record.time_s).max() <= 20 and len(record.time_s) == 195
-    assert any("5 rows from line 102 on are left out, since the file has their times" in m for m in record.messages)
+    assert record.time_s == pytest.approx(_from(0, 200))
+    assert record.columns["T_in_C"] == pytest.approx([20 + k / 8 for k in range(200)])
+    (said,) = [m for m in record.messages if "goes back once, by up to 47 s (first at line 102)" in m]
+    assert "as a clock that was set back: the times go on there" in said
+
+
+def test_a_few_rows_that_are_repeated_are_left_out(tmp_path: Path) -> None:
+    values = [*range(100), *range(95, 200)]
+    record = _text(tmp_path, "time_s,T_in_C\n" + "".join(f"{10 * k},{20 + k / 8}\n" for k in values))
+    assert record.time_s.tolist() == _from(0, 200)
+    assert any("rows from line 102 on are left out, since the file has their times" in m for m in record.messages)
 
 
 @pytest.mark.parametrize(

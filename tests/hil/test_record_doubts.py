@@ -101,7 +101,7 @@ def test_a_diagnosis_with_an_open_unit_is_not_certain_of_its_effect():
     asked = UnitQuestion("heater_power_W is 0.6 to 0.9 in this record: is it in another unit?")
     open_one = depending_on_units(found, twin, ("a note", asked))
     assert open_one.verdict == "ambiguous" and open_one.network is None
-    assert asked in open_one.warnings[0] and "depends on an open question of units" in open_one.warnings[0]
-    assert open_one.summary.startswith("If the units of the record are right")
+    assert asked in open_one.warnings[0] and "depends on an open question about columns" in open_one.warnings[0]
+    assert open_one.summary.startswith(f"{asked} If the columns are right: ")
     other = UnitQuestion("T_elsewhere_C has a median of 300: is it in kelvin?")
     assert depending_on_units(found, twin, ("heater_power_W: a note", other)) is found

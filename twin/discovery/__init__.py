@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from twin.discovery.healthy.basis import Columns, CommissionedRecord
     from twin.discovery.healthy.claim_threshold import keep_bootstrap
     from twin.discovery.healthy.health import NotHealthyError
+    from twin.discovery.mistaken_columns import column_mistakes
     from twin.discovery.planning.experiment import FLOW_MEASURED, Limits
     from twin.discovery.planning.forecast import Forecast
     from twin.discovery.records.grid import TooShortError, require_enough
@@ -45,6 +46,7 @@ __all__ = [
     "ambiguity_groups",
     "bootstrap_claims",
     "catalogue",
+    "column_mistakes",
     "diagnose",
     "diagnose_grown",
     "disturbance_statement",
@@ -65,6 +67,7 @@ __getattr__, __dir__ = lazy_names(
         "answer.blind_spots": ("label_text",),
         "answer.unused_inputs": ("with_unused",),
         "bootstrap": ("bootstrap_claims",),
+        "mistaken_columns": ("column_mistakes",),
         "diagnosis": ("Diagnosis", "SensorError"),
         "effects.ambiguity_groups": ("EffectLabel", "ambiguity_groups"),
         "effects.catalogue": ("catalogue",),

@@ -200,6 +200,7 @@ class Diagnosis:
         method: `contest` of effects with a commissioned twin, or `growth` of a twin that was never commissioned;
             `growth at rest` from steady states, whose times are their numbers from 1.
         own_course: claim of an effect without a law, made if no other explains the record.
+        read: messages of the record's reader: what it left out, repaired or asks.
         elsewhere: errors on further records. leads: segments, ranges and places to investigate in the remaining misfit.
     """
 
@@ -232,6 +233,7 @@ class Diagnosis:
     elsewhere: tuple[Elsewhere, ...] = ()
     leads: tuple[Lead, ...] = ()
     own_course: OwnCourse | None = None
+    read: tuple[str, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """Return the content of ``diagnosis.json``."""
@@ -280,6 +282,7 @@ class Diagnosis:
             "leads": [_lead(one) for one in self.leads],
             "warnings": list(self.warnings),
             "notes": list(self.notes),
+            "read": list(self.read),
         }
 
 

@@ -30,6 +30,10 @@ The second is the time that remains with pipes, from mixing in them.
 """
 ADJUSTED_C = 25.0
 """Temperature of a room in which thermometers are adjusted, degC."""
+LEAST_ADJUSTED_C, MOST_ADJUSTED_C = 0.0, 100.0
+"""Ice point and boiling point, between which baths for thermometers are; at the former a gain is a factor."""
+ADJUSTED_APART_K = (10.0, 5.0, 2.5)
+"""Distances, K, at which other temperatures of adjustment are tried around the best so far."""
 STUCK_APART_K = 5.0
 """Distance of the levels at which a thermometer is first taken to stick, K; ever closer ones follow."""
 STUCK_WITHIN_K = 0.05
@@ -108,16 +112,8 @@ class Sensor(Element):
             ),
             *later,
         ]
-        # A thermometer is right where it was adjusted: at the ice point, or in the room.
-        slope = self.parameter_candidate(
-            "gain",
-            *sensor,
-            "temperature",
-            EffectSize("1", 0.01, 0.5 - now["gain"], 1.5 - now["gain"]),
-            f"reads {{share}} too high of what is above {ADJUSTED_C:.0f} degC",
-        )
-        about = {f"{self.name}.gain": 1.0, f"{self.name}.bias_K": -ADJUSTED_C}
-        found.insert(2, replace(slope, change="new", changes=about))
+        gain = next(c for c in found if f"{self.name}.gain" in c.changes)
+        found.insert(2, self._gain_about(gain, ADJUSTED_C))
         if f"{self.name}_sticks.size" in sites.values:
             found.append(self._stuck_otherwise(where, sites.values))
         else:
@@ -148,6 +144,24 @@ class Sensor(Element):
                     )
                 )
         return tuple(found)
+
+    def _gain_about(self, gain: Candidate, about_c: float) -> Candidate:
+        """Return an error of gain of a thermometer that is right at `about_c`, degC, where it was adjusted.
+
+        That is the ice point, the room, or any bath. Others are tried where one scores, since a wrong one makes the
+        gain wrong.
+        """
+
+        def near() -> tuple[Candidate, ...]:
+            others = [about_c + side * apart for apart in ADJUSTED_APART_K for side in (-1.0, 1.0)]
+            return tuple(self._gain_about(gain, c) for c in others if LEAST_ADJUSTED_C < c <= MOST_ADJUSTED_C)
+
+        return replace(
+            gain,
+            changes={f"{self.name}.gain": 1.0, f"{self.name}.bias_K": -about_c},
+            says=f"reads {{share}} too high of what is above {about_c:g} degC",
+            near=near,
+        )
 
     def _stuck(self, where: str, level_c: float, apart_c: float) -> Candidate:
         """Return a thermometer that sticks at a level, degC; `apart_c`, K, is how far apart those tried so far were.

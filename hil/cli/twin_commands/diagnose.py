@@ -240,6 +240,10 @@ def _report(to: Console, ready: PreparedDiagnosis, found: Diagnosis, written: Wr
     request, revision = ready.request, written.revision if written else None
     if written and written.experiment:
         run = f"{invocation()} run {shlex.quote(str(written.experiment))}"
+        if request.rig is not None:
+            run += f" --rig {shlex.quote(str(request.rig))}"
+        elif not (request.record.parent / "run.json").is_file():
+            run += " --rig <your rig file>"
         to.print(f"run it: {run}", soft_wrap=True)
         given = [str(target), "--twin", str(request.twin)]
         given += ["--healthy", str(request.healthy)] if request.healthy else []

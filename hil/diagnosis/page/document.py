@@ -56,6 +56,7 @@ def page(findings: Findings) -> str:
         _verdict(d),
         _cards(d),
         _leads(d),
+        _read(d),
         _experiment(d),
         _section("Residual", drawn, "residuals", _residual_note(d)),
         _section("Unknown input by place", drawn, "unknowns", _UNKNOWN_NOTE),
@@ -182,6 +183,12 @@ def _origin(d: dict[str, Any]) -> Html:
     if "hil" in about.get("versions", {}):
         rows.append(["made by", f"hil {about['versions']['hil']}"])
     return _table(["", ""], rows) if rows else NOTHING
+
+
+def _read(d: dict[str, Any]) -> Html:
+    """Render the messages of the record's reader."""
+    items = [element("li", message) for message in d.get("read") or ()]
+    return joined([element("h2", "Reading the record"), element("ul", *items)]) if items else NOTHING
 
 
 def _leads(d: dict[str, Any]) -> Html:

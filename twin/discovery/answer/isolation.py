@@ -90,6 +90,8 @@ def alternatives_of(finding: Finding, verdict: Verdict) -> tuple[tuple[Alternati
             continue
         share = e.gain / max(finding.start, 1e-9)
         why = f"explains {100.0 * share:.0f} % of the mismatch, the answer {100.0 * best:.0f} %"
+        if round(100.0 * share) >= round(100.0 * best):
+            why += ", by assuming more: a rarer kind of fault, or a course with more free numbers"
         out[e.label] = Alternative(*e.label, confidence=0.0, why_not=why)
     return tuple(same.values()), tuple(out.values())
 

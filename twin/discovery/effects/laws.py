@@ -126,6 +126,14 @@ class Book:
             held = self._held = grid, run, known, base
         return held[2], held[3]
 
+    def heat_of_earlier_input(self, grid: Grid, run: FreeRun, column: int) -> Array:
+        """Return the heat (n, k), W, beyond the network's own if an input had its next bin's value in each bin."""
+        known, base = self._at(grid, run)
+        inputs = grid.inputs.copy()
+        inputs[:-1, column] = inputs[1:, column]
+        heat: Array = self._base.heats(known, inputs, self.network.values, grid.step_s) - base
+        return heat
+
     def laws(self, grid: Grid, run: FreeRun, only: tuple[Candidate, ...] | None = None) -> list[CandidateLaw]:
         """Return the laws of the candidates that have an effect on this record; `only` of some of them."""
         network = self.network

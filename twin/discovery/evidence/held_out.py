@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -15,6 +15,7 @@ from twin.discovery.records.grid import Grid, bridged
 from twin.discovery.records.noise import Noise
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.search import Entry
+from twin.elements.candidates import STAYING
 from twin.network import Array, Network
 from twin.segments import find_segments
 
@@ -51,6 +52,15 @@ def worse(found: Mapping[str, SensorError], times: float = HELD_OUT_WORSE) -> bo
     """
     before = sum((e.before / e.noise) ** 2 for e in found.values())
     return sum((e.after / e.noise) ** 2 for e in found.values()) > times * max(before, len(found))
+
+
+def predicts_worse(found: Mapping[str, SensorError], entries: Sequence[Entry]) -> bool:
+    """Return True if effects that stay leave more held-out squares than re-tuning alone.
+
+    An effect that has passed, such as a refill, predicts nothing about what comes later.
+    """
+    stays = all(e.shape.name in STAYING and not e.candidate.passes and not e.candidate.begins for e in entries)
+    return bool(entries) and stays and worse(found)
 
 
 def misled(found: Mapping[str, SensorError], network: Network) -> bool:
@@ -92,8 +102,10 @@ class HeldOutRecord:
                 out[name] = SensorError(raw[0], raw[1], raw[2], noise, of_means, float(usual[j]), apart)
         return out
 
-    def far_off(self, finding: Finding, split: int) -> bool:
-        """Return True if an answer's error from bin `split` on is larger than usual."""
+    def refutes(self, finding: Finding, split: int) -> bool:
+        """Return True if an answer's error from bin `split` on is larger than usual, or than that of re-tuning."""
+        if predicts_worse(self.errors(finding, split), finding.entries):
+            return True
         run, usual = self._answered(finding), self._usual(finding, split)
         return any(
             _far(self.network, name, self._mean(self._off(run, split, j)), float(usual[j]))

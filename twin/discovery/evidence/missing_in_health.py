@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from twin.discovery.effects.laws import temperatures
+from twin.discovery.effects.open_laws.laws import laws_of, open_laws
 from twin.discovery.evidence.hypotheses import Prior, apart
 from twin.discovery.evidence.marginal import joint, log_widths, widths
 from twin.discovery.evidence.part import Part
@@ -24,7 +26,7 @@ from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, MISSING_IN
 from twin.discovery.evidence.scan import scan
 from twin.discovery.evidence.search import late_ones, leading, log_odds_unlisted
 from twin.discovery.healthy.basis import Basis
-from twin.discovery.healthy.law_amplitudes import Amplitudes, MissingInHealth
+from twin.discovery.healthy.law_amplitudes import Amplitudes, HealthyResidual, MissingInHealth
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
 from twin.network import Array
@@ -146,12 +148,12 @@ def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:
     An effect present from the beginning is likelier a law that was always missing if the healthy record's amplitude,
     within a form error, is nearer to the fitted one than the prior of a fault is.
     """
-    along = [e for e in entries if e.shape.name == "step" and e.shape.onset_s <= 0.0 and not e.candidate.is_open]
+    along = [e for e in entries if e.shape.name == "step" and e.shape.onset_s <= 0.0]
     if known.health is None or known.structure is None or not along:
         return known
     missing = known.missing
     for entry in along:
-        amounts = known.health.amplitudes([entry.candidate], known.probe.scaling.ids)
+        amounts = _amounts_of(known, known.health, entry.candidate)
         if not amounts.candidates:
             continue
         wide = float(widths(entry.candidate.typical, entry.size)) ** 2
@@ -168,6 +170,18 @@ def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:
             missing = MissingInHealth((*told.candidates, *law), np.append(told.sizes, entry.size))
             known = replace(known, structure=structure, missing=missing)
     return known
+
+
+def _amounts_of(known: Basis, health: HealthyResidual, candidate: Candidate) -> Amplitudes:
+    """Return the amplitude of a law in the healthy record; none where the twin then lacked what it is made of."""
+    ids, book, network = known.probe.scaling.ids, health.book, known.probe.network
+    if known.earlier is not None:
+        return health.amplitudes([] if candidate.is_open else [candidate], ids)
+    if not candidate.is_open:
+        return health.amplitudes_of(book.laws(health.grid, health.run, (candidate,)), ids)
+    here = temperatures(network, health.grid, health.run)
+    every = open_laws(network, health.grid, book.laws(health.grid, health.run), here)
+    return health.amplitudes_of(laws_of(network, (candidate,), every, health.grid, here), ids)
 
 
 def _log_normal(off: float, variance: float) -> float:

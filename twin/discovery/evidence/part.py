@@ -15,7 +15,7 @@ import numpy as np
 from twin.discovery.diagnosis import Course
 from twin.discovery.effects.catalogue import LATE
 from twin.discovery.effects.laws import CandidateLaw, temperatures
-from twin.discovery.effects.open_laws.laws import OpenLaw, law_on_record, open_laws
+from twin.discovery.effects.open_laws.laws import OpenLaw, laws_of, open_laws
 from twin.discovery.effects.probe import FreeRun, free_run
 from twin.discovery.effects.shapes import EARLY_S, Shape
 from twin.discovery.evidence.priors import SPREAD
@@ -58,7 +58,8 @@ class Part:
         state, run, _, _ = free_run(known.probe, grid)
         book = known.book
         found = [law for only in (None, book.put_in, book.passing) for law in book.laws(grid, run, only)]
-        return cls(known, grid, state, run, known.score_test(grid, state, run, found), found)
+        told = [*found, *_missing(known, grid, run, found)]
+        return cls(known, grid, state, run, known.score_test(grid, state, run, told), found)
 
     def add(self, candidates: tuple[Candidate, ...]) -> None:
         """Add further candidates to the search."""
@@ -71,12 +72,7 @@ class Part:
         known = {law.candidate.id for law in self.laws}
         further = {c.id: c for c in candidates if c.id not in known}
         named = tuple(c for c in further.values() if not c.is_open)
-        sites = {law.site.column: law for law in self.opened} | {law.site.name: law for law in self.opened}
-        opened = [
-            law_on_record(self.basis.probe.network, sites[at], c, self.grid, self._known)
-            for c in further.values()
-            if (at := c.column or str(c.adopts.get("site", ""))) in sites
-        ]
+        opened = laws_of(self.basis.probe.network, further.values(), self.opened, self.grid, self._known)
         self.laws = [*self.laws, *self.basis.book.laws(self.grid, self.run, named), *opened]
 
     @cached_property
@@ -151,6 +147,20 @@ class Part:
 
     def reset(self) -> None:
         self.score_test.look_at(self.run)
+
+
+def _missing(known: Basis, grid: Grid, run: FreeRun, laws: Sequence[CandidateLaw]) -> list[CandidateLaw]:
+    """Return the laws of what the twin lacked already in health that are not among the candidates' own `laws`."""
+    if known.missing is None:
+        return []
+    network, ids = known.probe.network, {law.candidate.id for law in laws}
+    named = tuple(c for c in known.missing.candidates if c.id not in ids and not c.is_open)
+    found = known.book.laws(grid, run, named)
+    of_others = [c for c in known.missing.candidates if c.is_open]
+    if not of_others:
+        return found
+    here = temperatures(network, grid, run)
+    return [*found, *laws_of(network, of_others, open_laws(network, grid, laws, here), grid, here)]
 
 
 def fitted(

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twin.commissioning import weak_prior
+from twin.discovery.effects.input_times import heat_by_input_times
 from twin.discovery.effects.laws import Book, CandidateLaw
 from twin.discovery.effects.operating import offsets
 from twin.discovery.effects.probe import FreeRun, Probe, free_run
@@ -80,6 +81,7 @@ class Basis:
         bootstrap: results on simulated healthy records of this twin, if there are any (`bootstrap`).
         earlier: the twin that the healthy record belongs to if it is not the present one, or None.
         health: the healthy record, or None. missing: laws that the twin lacked already in health, by both records.
+        period_s: interval between the record's samples, s; 0 if its inputs change at known times.
     """
 
     probe: Probe
@@ -94,6 +96,7 @@ class Basis:
     earlier: Network | None = None
     health: HealthyResidual | None = None
     missing: MissingInHealth | None = None
+    period_s: float = 0.0
 
     @property
     def sentence(self) -> str:
@@ -126,7 +129,8 @@ class Basis:
         if structure is not None:
             here = offsets(self.probe.network, laws, grid)
             structure, laws = structure.beyond(here), [*laws, *here]
-        return ScoreTest(self.probe, grid, state, run, self.noise, self.prior, structure, laws)
+        times = heat_by_input_times(self.book, grid, run, self.period_s) if self.period_s else None
+        return ScoreTest(self.probe, grid, state, run, self.noise, self.prior, structure, laws, times)
 
     @property
     def claim(self) -> float:
@@ -139,7 +143,8 @@ def basis(network: Network, healthy: Columns | None, record: Grid, period_s: flo
 
     Args:
         period_s: interval of the record's samples, to which the healthy record is thinned. Between two samples the time
-            of a load change is unknown, and a twin driven by them has the same error in health.
+            of a load change is unknown, and a twin driven by them has the same error in health; 0 if the times of a
+            planned record are known.
 
     Raises:
         NotHealthyError: the healthy record does not fit the twin. TwinFileError: a twin without tunables.
@@ -170,6 +175,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid, period_s: flo
             bootstrap=kept(network, healthy.time_s, healthy.inputs, healthy.measured),
             earlier=None if of is probe else of.network,
             health=health.itself,
+            period_s=period_s,
         )
     state, _, residual, _ = free_run(probe, record)
     prior = weak_prior(probe.scaling, network.values[probe.scaling.index], state[: probe.k], 0.3)
@@ -179,7 +185,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid, period_s: flo
         "and parameters are trusted less; give --healthy for a sharper answer"
     )
     own = _from_itself(probe, book, record, state, learned, prior)
-    return Basis(probe, book, own, prior, (warning,), _tried(record))
+    return Basis(probe, book, own, prior, (warning,), _tried(record), period_s=period_s)
 
 
 def _asked(network: Network, ids: tuple[str, ...], late_at_once: bool) -> tuple[Probe, Book]:

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from twin.commissioning import weak_prior
-from twin.discovery.effects.laws import Book
+from twin.discovery.effects.laws import Book, CandidateLaw
 from twin.discovery.effects.phrases import said
 from twin.discovery.effects.probe import FreeRun, Probe
 from twin.discovery.records.grid import Grid
@@ -72,12 +72,15 @@ class HealthyResidual:
         Args:
             tunables: ids (q,) of the present twin, which may have others than the one of this record.
         """
-        score_test, ids = self._score_test, self.probe.scaling.ids
         # A law that a revision has adopted has the name that it had as an addition, and is a change of an element that
         # the twin of this record lacks.
         own = {c.id: c for c in self.book.candidates}
         here = tuple(c for c in candidates if c.id in own and own[c.id].change == c.change)
-        laws = self.book.laws(self.grid, self.run, here)
+        return self.amplitudes_of(self.book.laws(self.grid, self.run, here), tunables)
+
+    def amplitudes_of(self, laws: Sequence[CandidateLaw], tunables: tuple[str, ...]) -> Amplitudes:
+        """Return the amplitudes of laws on this record; `tunables` as of `amplitudes`."""
+        score_test, ids = self._score_test, self.probe.scaling.ids
         if not laws:
             return Amplitudes((), np.zeros((0, 0)), np.zeros(0), np.zeros((len(tunables), 0)))
         signatures = score_test.signatures(np.stack([score_test.vector(law) for law in laws]))

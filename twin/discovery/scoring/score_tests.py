@@ -34,6 +34,8 @@ LEAST_BLOCK_BINS = 6
 FORGOTTEN = 0.05
 ANCHOR = 6
 """Blocks on either side of a gap whose mean is an end point of its interpolation."""
+MOST_SIMULATED = 64
+"""Responses to the unknown times of input changes that are simulated, the largest ones."""
 NARROW = 0.03
 """Standard deviations of noise along a direction below which the uncertainty of the known structure is negligible."""
 
@@ -86,6 +88,8 @@ class ScoreTest:
         prior: of [tunables z, initial state].
         structure: model error present throughout, by its amplitudes of the `laws` on this record. Its mean is
             subtracted from the residual, and its uncertainty is noise. None if it is unknown.
+        by_times: (c, n, k) W, heat by one standard deviation of the times at which each input changes, which is noise
+            too; each change has its own. None if the times are known.
 
     Raises:
         TwinFileError: heat in the twin's nodes moves no reading, or its effect is not finite.
@@ -113,6 +117,7 @@ class ScoreTest:
         prior: GaussianPrior,
         structure: Structure | None = None,
         laws: Sequence[CandidateLaw] = (),
+        by_times: Array | None = None,
     ) -> None:
         self.probe, self.grid, self.prior = probe, grid, repeated(prior, probe.q, len(grid.begins))
         self.noise = noise.where_moved(run.readings, grid.step_s)
@@ -146,7 +151,8 @@ class ScoreTest:
         self._open: tuple[Array, Array] | None = None
         sensitivities = self.seen(np.moveaxis(probe.sensitivities(grid, state), 2, 0))
         self.slopes = self.features(np.moveaxis(sensitivities, 0, 2))
-        self._open, self._less = self._left_by(structure, laws)
+        times = None if by_times is None else self._by_times(by_times, run, state)
+        self._open, self._less = self._left_by(structure, laws, times)
         self._columns, self.slopes = self._narrowed(self._columns), self._narrowed(self.slopes)
         self._normal = self.slopes.T @ self.slopes + self.prior.precision
         cross = self.slopes.T @ self._columns
@@ -209,28 +215,61 @@ class ScoreTest:
         return np.ascontiguousarray(left.T) - self._less
 
     def _left_by(
-        self, structure: Structure | None, laws: Sequence[CandidateLaw]
+        self, structure: Structure | None, laws: Sequence[CandidateLaw], times: Array | None
     ) -> tuple[tuple[Array, Array] | None, Array]:
-        """Return the uncertain directions of a structure, their shrinkage, and its mean.
+        """Return the uncertain directions of a structure and of inputs' times, their shrinkage, and the mean.
 
         These are orthonormal whitened directions (b * m, r), the shares (r,) by which their components shrink, and the
-        mean (b * m,), shrunk likewise; None in place of directions if there is no structure.
+        structure's mean (b * m,), shrunk likewise; None in place of directions if there are none.
         """
         known = {law.candidate.id: law for law in laws}
         here = [] if structure is None else [i for i, c in enumerate(structure.candidates) if c.id in known]
-        if structure is None or not here:
-            return None, np.zeros(self.b * self.m)
-        vectors = np.stack([self.vector(known[structure.candidates[i].id]) for i in here])
-        signatures = self.signatures(vectors) + self.slopes[:, : self.probe.q] @ structure.moved(here, self.probe.q)
-        values, axes = np.linalg.eigh(structure.covariance[np.ix_(here, here)])
-        spread = signatures @ (axes * np.sqrt(np.maximum(values, 0.0)))
+        spread = np.zeros((self.b * self.m, 0)) if times is None else times
+        mean = np.zeros(self.b * self.m)
+        if structure is not None and here:
+            vectors = np.stack([self.vector(known[structure.candidates[i].id]) for i in here])
+            signatures = self.signatures(vectors) + self.slopes[:, : self.probe.q] @ structure.moved(here, self.probe.q)
+            values, axes = np.linalg.eigh(structure.covariance[np.ix_(here, here)])
+            spread = np.hstack([spread, signatures @ (axes * np.sqrt(np.maximum(values, 0.0)))])
+            mean = signatures @ structure.sizes[here]
+        if not spread.size:
+            return None, mean
         # By the eigenvectors of its square: LAPACK's divide and conquer fails on some finite matrices.
         squares, turned = np.linalg.eigh(spread.T @ spread)
         singular = np.sqrt(np.maximum(squares, 0.0))
         kept = singular > NARROW
         directions = spread @ (turned[:, kept] / singular[kept])
         opened = directions, 1.0 - 1.0 / np.sqrt(1.0 + singular[kept] ** 2)
-        return opened, narrowed(signatures @ structure.sizes[here], opened)
+        return opened, narrowed(mean, opened)
+
+    def _by_times(self, heat: Array, run: FreeRun, state: Array) -> Array:
+        """Return whitened responses (b * m, r) to heat (c, n, k), W, of the changes of each input in each block.
+
+        The changes in a block are independent and warm in the same proportions, those of the strongest. Large responses
+        are simulated, since heat that is spread over its block has another course.
+        """
+        sites = self._columns.reshape(self.b * self.m, self.sites, self.b)[:, : self.k]
+        found, sources = [], []
+        for of_input in heat:
+            squares = (of_input**2).sum(axis=1)
+            for block in np.flatnonzero(np.add.reduceat(squares, self.edges[:-1]) > 0.0):
+                rows = slice(self.edges[block], self.edges[block + 1])
+                strongest = rows.start + int(np.argmax(squares[rows]))
+                warms = of_input[strongest] * np.sqrt(squares[rows].sum() / squares[rows].max())
+                found.append(sites[:, :, block] @ warms / (rows.stop - rows.start))
+                sources.append((strongest, warms))
+        if not found:
+            return np.zeros((self.b * self.m, 0))
+        spread = np.array(found).T
+        size = np.linalg.norm(spread, axis=0)
+        for j in np.argsort(-size)[:MOST_SIMULATED]:
+            if size[j] < 1.0:
+                break
+            injected = np.zeros_like(run.temperatures)
+            injected[sources[j][0]] = sources[j][1]
+            moved = self.probe.run(self.grid, state, injected=injected).readings - run.readings
+            spread[:, j] = self.features(self.seen(moved))
+        return np.asarray(spread[:, size > NARROW])
 
     def _narrowed(self, whitened: Array) -> Array:
         return whitened if self._open is None else narrowed(whitened, self._open)

@@ -142,5 +142,10 @@ def _fitted(score_test: ScoreTest, laws: list[CandidateLaw]) -> Structure:
 
 
 def belongs(candidate: Candidate, score_test: ScoreTest) -> bool:
-    """Return True if a law may be part of a twin's structure: it does not follow time, and is no tunable."""
-    return candidate.driver not in _OF_TIME and not set(candidate.changes) <= set(score_test.probe.scaling.ids)
+    """Return True if a law may be part of a twin's structure: it does not follow time, and is no tunable.
+
+    A thermometer sticks or it does not: a share of it is no model error, and those of several levels together are an
+    error of gain and offset of any size.
+    """
+    tunable = set(candidate.changes) <= set(score_test.probe.scaling.ids)
+    return candidate.driver not in _OF_TIME and not candidate.sticks and not tunable

@@ -10,7 +10,7 @@ temperature of a node is evaluated on measured temperatures, and fitted as an el
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -88,6 +88,18 @@ def law_on_record(network: Network, law: OpenLaw, candidate: Candidate, grid: Gr
     del parameters["site"]
     values = Values(candidate.driver, form, {FORMS[form][0]: 1.0, **parameters}, None, 1.0, "", node)
     return OpenLaw(candidate, law.site, course_of_node(network, values, known))
+
+
+def laws_of(
+    network: Network, candidates: Iterable[Candidate], opened: Sequence[OpenLaw], grid: Grid, known: Array
+) -> list[OpenLaw]:
+    """Return the laws of open candidates at the sites of `opened`, all open laws of the record; others are left out."""
+    sites = {law.site.column: law for law in opened} | {law.site.name: law for law in opened}
+    return [
+        law_on_record(network, sites[at], c, grid, known)
+        for c in candidates
+        if (at := c.column or str(c.adopts.get("site", ""))) in sites
+    ]
 
 
 def candidate_of(network: Network, site: OpenSite, values: Values) -> Candidate:

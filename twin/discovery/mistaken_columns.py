@@ -1,0 +1,114 @@
+"""Columns of a record that were exchanged, or are in another unit than their name says.
+
+Such a mistake of the file reads like large and odd effects. Without any effect, the commissioned twin explains the
+record as soon as the mistake is undone; hardly any fault of a rig is undone by reading two columns the other way round.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twin.discovery.effects.probe import Probe, free_run
+from twin.discovery.healthy.basis import Columns
+from twin.discovery.records.grid import on_grid
+from twin.network import Array, Network, TwinFileError
+from twin.segments import CLOCK_PREFIX
+
+UNDONE = 0.04
+"""Largest share of the squares that a mistake leaves when it is undone: a fifth of the error."""
+FAR_OFF = 3.0
+"""Root mean square, in noise and the usual error together, from which a record is tried."""
+_UNITS: tuple[tuple[str, Callable[[Array], Array]], ...] = (
+    ("degrees Fahrenheit", lambda v: (v - 32.0) / 1.8),
+    ("kelvin", lambda v: v - 273.15),
+)
+
+
+@dataclass(frozen=True)
+class _Undone:
+    """Record with a mistake undone: a sentence with ``{errors}`` for the errors before and after, and the record."""
+
+    says: str
+    record: Columns
+
+
+def column_mistakes(network: Network, record: Columns, healthy: Columns | None = None) -> tuple[str, ...]:
+    """Return a question about the columns that were probably exchanged or are in another unit; none for most records.
+
+    Parameters
+    ----------
+    network
+        The commissioned twin.
+    record
+        Record whose columns are in question.
+    healthy
+        The record that the twin was commissioned on, whose error is usual; None takes the thermometers' noise.
+    """
+    ids = network.tunables("commission" if "commission" in network.sets else None)
+    if not ids:
+        return ()
+    probe = Probe(network, ids)
+    usual = network.sigma if healthy is None else np.hypot(network.sigma, _rms(probe, healthy))
+    found = _rms(probe, record)
+    before = _squares(found, usual)
+    if not before > FAR_OFF**2 * np.isfinite(found).sum():
+        return ()
+    least, said = UNDONE * before, ""
+    for undone in _undone(network, record):
+        try:
+            errors = _rms(probe, undone.record)
+        except TwinFileError:
+            continue
+        if np.isfinite(errors).sum() == np.isfinite(found).sum() and _squares(errors, usual) < least:
+            least = _squares(errors, usual)
+            worst = int(np.nanargmax(found / usual))
+            name = network.sensor_names[worst]
+            said = undone.says.format(
+                errors=f"the twin is off by {errors[worst]:.2g} K instead of {found[worst]:.2g} K at {name}"
+            )
+    return (said,) if said else ()
+
+
+def _rms(probe: Probe, record: Columns) -> Array:
+    """Return the error (m,), K, of the commissioned twin's free run; NaN for a sensor without a reading."""
+    grid = on_grid(probe.network, record.time_s, record.inputs, record.measured)
+    _, _, residual, good = free_run(probe, grid)
+    count = good.sum(axis=0)
+    squares = np.where(good, residual, 0.0) ** 2
+    return np.where(count > 0, np.sqrt(squares.sum(axis=0) / np.maximum(count, 1)), np.nan)
+
+
+def _squares(errors: Array, usual: Array) -> float:
+    return float(np.nansum((errors / usual) ** 2))
+
+
+def _undone(network: Network, record: Columns) -> Iterator[_Undone]:
+    """Yield the record with each possible mistake undone."""
+    columns = [(c, record.inputs[:, j]) for j, c in enumerate(network.input_columns) if not c.startswith(CLOCK_PREFIX)]
+    single = [j for j, s in enumerate(network.sensors) if len(s.measured) == 1]
+    columns += [(network.sensors[j].measured[0], record.measured[:, j]) for j in single]
+    for (a, one), (b, other) in itertools.combinations(columns, 2):
+        same_unit = a.rpartition("_")[2] == b.rpartition("_")[2]
+        if a != b and same_unit and not np.array_equal(one, other, equal_nan=True):
+            says = f"{a} and {b} look exchanged: read the other way round, {{errors}}. Are their headings right?"
+            yield _Undone(says, _with(network, record, {a: other, b: one}))
+    for name, values in columns:
+        for unit, celsius in _UNITS if name.endswith("_C") else ():
+            says = f"{name} looks like {unit}: read so, {{errors}}. Is its unit right?"
+            yield _Undone(says, _with(network, record, {name: celsius(values)}))
+
+
+def _with(network: Network, record: Columns, values: dict[str, Array]) -> Columns:
+    """Return the record with other values in some columns."""
+    inputs, measured = record.inputs.copy(), record.measured.copy()
+    for j, column in enumerate(network.input_columns):
+        if column in values:
+            inputs[:, j] = values[column]
+    for j, sensor in enumerate(network.sensors):
+        if len(sensor.measured) == 1 and sensor.measured[0] in values:
+            measured[:, j] = values[sensor.measured[0]]
+    return replace(record, inputs=inputs, measured=measured)
