@@ -9,10 +9,12 @@ import pytest
 
 from tests.discovery.conftest import Bench
 from twin.discovery.engine import diagnose
+from twin.discovery.effects.shapes import Shape
 from twin.discovery.evidence.missing_in_health import _Columns, _possible, with_missing, with_usual
 from twin.discovery.evidence.part import Part
 from twin.discovery.healthy.basis import Basis, Columns, basis
 from twin.discovery.records.grid import on_grid
+from twin.discovery.scoring.search import Entry
 from twin.kernel import Kernel
 
 LAG_S = 60.0
@@ -131,3 +133,18 @@ def test_a_law_of_a_size_that_cannot_be_is_left_out(
     columns = _Columns(gram, gram @ np.array([-5.0, 5.0]), np.eye(2), np.zeros(2), np.full(2, -3.0))
     found, odds = _possible(columns, (), (law, law))
     assert found == kept and odds == pytest.approx(float(columns.odds(np.array([kept], dtype=np.intp))[0]))
+
+
+def test_an_open_law_of_the_size_that_it_has_in_health_joins_what_is_known(bench: Bench) -> None:
+    """Heat that comes with much power, which the twin does not have: no fault if it came in health, too."""
+    law = {"kind": "law_heat", "node": "tank", "driver": "heater_power_W", "form": "threshold", "on": 740.0}
+    other = replace(bench, network=bench.with_element("warms", {**law, "off": 740.0, "size": 15.0}))
+    for health, is_usual in ((other.record(10.0, seed=7), True), (bench.record(10.0, seed=7), False)):
+        known, part = known_of(bench, health, other.record(10.0, seed=4))
+        says = "gives off {value} while heater power is above 740"
+        (warms,) = (one for one in part.opened if one.candidate.where == "tank" and one.candidate.says == says)
+        begun = Entry(warms, Shape("step", 0.0), np.empty(0), 15.0, 0.5, 0.0).refreshed(part.score_test)
+        more = with_usual(known, [replace(begun, size=15.0, sd=0.5)])
+        assert (more is not known) is is_usual
+        if is_usual:
+            assert Part.of(more, part.grid).score_test.total < part.score_test.total - 20.0
