@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.discovery.conftest import Bench
-from twin.discovery.engine import diagnose
 from twin.discovery.effects.shapes import Shape
+from twin.discovery.engine import diagnose
 from twin.discovery.evidence.missing_in_health import _Columns, _possible, with_missing, with_usual
 from twin.discovery.evidence.part import Part
 from twin.discovery.healthy.basis import Basis, Columns, basis
