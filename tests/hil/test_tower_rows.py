@@ -104,6 +104,7 @@ def test_rows_of_governance_are_those_of_its_page(tmp_path: Path) -> None:
         ("cleaning", {"cleanings_seen": 3}),
         ("withheld error", {"outlet_MAE_of_withheld": 0.19}),
         ("proposals", {"precision": 0.89}),
+        ("proposals", {"proposals_nearer": 37}),
     ],
 )
 def test_a_row_of_governance_fails_by_each_of_its_figures(tmp_path: Path, key: str, changed: dict[str, float]) -> None:

@@ -64,9 +64,11 @@ def _gates(f: dict[str, float]) -> Outcome:
 
 
 def _proposals(f: dict[str, float]) -> Outcome:
+    """Return the outcome of A21: the precision holds for the decided proposals, and for all by the truth alone."""
     confirmed, still, false = (int(f[f"proposals {one}"]) for one in ("confirmed", "open", "false"))
     count, precision = int(f["persistent proposals"]), f["precision of the decided"]
     nearer = int(f["proposals nearer to the truth than the value before"])
     why = f"precision {precision:.2f} of those decided; by the truth alone {nearer} of {count} are nearer to it"
     text = f"{confirmed} / {still} / {false} of {count}"
-    return Outcome(text, precision >= PRECISION, GOVERNANCE, ONLINE, f"{count} proposals", why=why)
+    good = min(precision, nearer / max(count, 1)) >= PRECISION
+    return Outcome(text, good, GOVERNANCE, ONLINE, f"{count} proposals", why=why)
