@@ -26,6 +26,7 @@ BENCHMARKS = {
     "wire": "Mutated Modbus replies and CAN frames: no wrong value is accepted as good",
     "files": "Mutated files of every kind: each is read, or refused in a sentence that names it",
     "tower": "Calibrations of a cooling tower's outlet on a record: commissioned, persistence, regression, learned",
+    "tower-governance": "Ramp of the fill, cleaning of nozzles, gates, proposals and alarms as a calibration goes on",
     "tower-rivals": "Other networks, ablations and a remedy on the tower's windows, each with the same processor time",
     "tower-rows": "Acceptance rows of the tower paper: its figure, our gate, our figure, reached or not",
     "fleet": "Diagnoses of many records on one worker and on two, and the cost of handing a job out",

@@ -137,7 +137,8 @@ def try_stations(
     return StationTrials(months, tuple(effects), tuple(spoilt), tuple(clean))
 
 
-def _align(station: Path) -> None:
+def align_folder(station: Path) -> None:
+    """Align the store in a station's folder into its folder `record`; raises as `align_station`."""
     described = read_station(station / "tags.csv", station / "datasheet.json", station / "events.csv")
     with open_store(station) as store:
         align_station(store, described, station / "record")
@@ -161,7 +162,7 @@ def _diagnosed(seed: int, name: str, key: Mapping[str, Any], station: Path) -> N
 def _defects(seed: int, name: str, key: Mapping[str, Any], station: Path) -> FoundDefects:
     """Align a station and compare its report with the key."""
     began = time.process_time()
-    _align(station)
+    align_folder(station)
     cost = time.process_time() - began
     report = json.loads((station / "record" / "alignment.json").read_text())
     days = len(report["cells"]) * report["minutes"] / 1440.0

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from hil.bench.acceptance import assemble
 from hil.bench.acceptance.calibration import WIDTH_OVER_MAE, calibration_rows
 from hil.bench.acceptance.criteria import CRITERIA
+from hil.bench.acceptance.governance import governance_rows
 from hil.bench.acceptance.outcome import FAILED, NOT_MEASURED, REACHED, Published
 from hil.bench.acceptance.outlet import ENSEMBLE, outlet_rows
 from hil.bench.acceptance.physics import record_size
@@ -47,6 +48,68 @@ def test_a_row_is_reached_or_failed_by_its_figure(tmp_path: Path, within: int, r
     assert found["step"].verdict == result and f"{within} of 200" in found["step"].ours
     assert found["step called fouling"].verdict == REACHED
     assert calibration_rows(steps(tmp_path, within, wrong=1))["step called fouling"].verdict == FAILED
+
+
+def governance(folder: Path, **changed: float) -> Published:
+    figures = {
+        "ramps": 4,
+        "loss of fill at the end, mean, %": 12.5,
+        "true loss of fill then, mean, %": 13.1,
+        "mean absolute error of that loss, % of the clean fill": 0.9,
+        "ramps with a proposal at the end": 4,
+        "ramps proposed at 5 %": 4,
+        "ramps proposed too early": 0,
+        "mean delay at 5 %, d": 2.5,
+        "ramps with a drift alarm": 0,
+        "cell-years without a ramp": 1.4,
+        "false alarms a cell-year": 0.7,
+        "cleanings": 4,
+        "cleanings seen within 3 excited windows": 4,
+        "uniformity moved, median sd": 5.0,
+        "largest other change, sd": 0.6,
+        "windows": 4000,
+        "windows withheld, %": 8.0,
+        "outlet MAE of accepted windows, K": 0.1,
+        "outlet MAE of withheld windows, K": 0.25,
+        "AUROC of the gates for these": 0.8,
+        "AUROC of the width for these": 0.9,
+        "persistent proposals": 42,
+        "proposals confirmed": 35,
+        "proposals open": 4,
+        "proposals false": 3,
+        "precision of the decided": 35 / 38,
+        "proposals nearer to the truth than the value before": 38,
+    }
+    for name, value in changed.items():
+        (key,) = (one for one in figures if one.startswith(name.replace("_", " ")))
+        figures[key] = value
+    return page(folder, "tower_governance", figures=(["figure", "value"], [list(one) for one in figures.items()]))
+
+
+def test_rows_of_governance_are_those_of_its_page(tmp_path: Path) -> None:
+    found = governance_rows(governance(tmp_path))
+    assert {one.verdict for one in found.values()} == {REACHED}
+    assert found["ramp"].ours == "11.4 %; 2.5 d" and found["proposals"].ours == "35 / 4 / 3 of 42"
+    assert {one.verdict for one in governance_rows(Published(tmp_path / "none")).values()} == {NOT_MEASURED}
+
+
+@pytest.mark.parametrize(
+    ("key", "changed"),
+    [
+        ("ramp", {"mean_absolute_error": 1.6}),
+        ("ramp", {"ramps_proposed_at": 3}),
+        ("ramp", {"ramps_proposed_too_early": 1}),
+        ("ramp", {"mean_delay": 4.7}),
+        ("ramp", {"false_alarms": 1.1}),
+        ("cleaning", {"cleanings_seen": 3}),
+        ("withheld error", {"outlet_MAE_of_withheld": 0.19}),
+        ("proposals", {"precision": 0.89}),
+        ("proposals", {"proposals_nearer": 37}),
+    ],
+)
+def test_a_row_of_governance_fails_by_each_of_its_figures(tmp_path: Path, key: str, changed: dict[str, float]) -> None:
+    found = governance_rows(governance(tmp_path, **changed))
+    assert {name for name, one in found.items() if one.verdict == FAILED} == {key}
 
 
 def test_every_row_is_printed_once_and_what_nobody_measured_says_so(tmp_path: Path) -> None:

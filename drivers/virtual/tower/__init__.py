@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from drivers.lazy_names import lazy_names
 
 if TYPE_CHECKING:
+    from drivers.virtual.tower.degradation import Ramp
     from drivers.virtual.tower.device import Replay, load_station, rig_text, serve_station, write_dictionary
     from drivers.virtual.tower.effects import EFFECTS
     from drivers.virtual.tower.export import (
@@ -43,6 +44,7 @@ __all__ = [
     "MIAMI_SITE",
     "SITES",
     "STATION_FILES",
+    "Ramp",
     "Replay",
     "Simulated",
     "SimulationPlan",
@@ -64,6 +66,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        "degradation": ("Ramp",),
         "device": ("Replay", "load_station", "rig_text", "serve_station", "write_dictionary"),
         "effects": ("EFFECTS",),
         "export": (

@@ -2,12 +2,13 @@
 
 Scale takes 0.2 to 0.6 % of the fill a week, nozzles plug, belts slip, eliminators clog, thermometers and flow meters
 drift. Cleaning, maintenance and replacement restore a part of it. Entries of maintenance carry a day that is up to
-three days off; some are missing.
+three days off; some are missing. A plan may add ramps to it: a loss of fill within a month, nozzles that plug and are
+cleaned.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,32 @@ WRITTEN = 0.88
 """Share of maintenance work that has an entry."""
 
 
+@dataclass(frozen=True, slots=True)
+class Ramp:
+    """Change of a cell's degradation that a plan adds to what its seed draws: a line between two days, kept afterwards.
+
+    Attributes
+    ----------
+    cell
+        Numbered from 1.
+    state
+        Name among `STATE`.
+    first, end
+        Days of the simulation at which it begins and ends.
+    change
+        Of the state, share of the clean value.
+    event
+        Class of the maintenance entry at its end, such as nozzle_cleaning; "" for none.
+    """
+
+    cell: int
+    state: str
+    first: int
+    end: int
+    change: float
+    event: str = ""
+
+
 @dataclass(frozen=True)
 class Life:
     """States by day (days, cells, states), thermometers' bias K and flow meters' gain by day (days, cells), and
@@ -42,8 +69,21 @@ class Life:
     labels: tuple[InspectionLabel, ...]
 
 
-def live(built: BuiltStation, days: int, rng: np.random.Generator, outlet_tag: Callable[[int], str]) -> Life:
-    """Return `days` days of degradation (two more rows than days), drawn by `rng`; `outlet_tag` names a thermometer."""
+def live(
+    built: BuiltStation,
+    days: int,
+    rng: np.random.Generator,
+    outlet_tag: Callable[[int], str],
+    ramps: Sequence[Ramp] = (),
+) -> Life:
+    """Return `days` days of degradation (two more rows than days), drawn by `rng`, with ramps; `outlet_tag` names a
+    thermometer.
+
+    Raises
+    ------
+    ValueError
+        A ramp is of no cell or state of the station, or does not end after it begins.
+    """
     cells, rows = built.site.cells, days + 2
     states, bias, gain = np.zeros((rows, cells, len(STATE))), np.zeros((rows, cells)), np.ones((rows, cells))
     happenings: list[Happening] = []
@@ -52,8 +92,25 @@ def live(built: BuiltStation, days: int, rng: np.random.Generator, outlet_tag: C
         bias[:, cell], replaced = _thermometer(rows, cell, rng, outlet_tag(cell))
         gain[:, cell] = 1.0 + rng.normal(0.0, 0.006) + np.cumsum(rng.normal(0.0, 1.2e-4, rows))
         happenings += done + replaced
+    for ramp in ramps:
+        happenings += _add(ramp, states)
     labels, found = _found(built, states, bias, days, rng)
     return Life(states, bias, gain, tuple(happenings + found), tuple(labels))
+
+
+def _add(ramp: Ramp, states: Array) -> list[Happening]:
+    """Add a ramp to the states by day (days, cells, states) and return its entry, if it has one."""
+    if ramp.state not in STATE or not 1 <= ramp.cell <= states.shape[1] or not ramp.first < ramp.end:
+        raise ValueError(
+            f"{ramp}: cannot be added; give a cell from 1 to {states.shape[1]}, a state among {', '.join(STATE)}, and "
+            "an end after the first day"
+        )
+    share = np.clip((np.arange(len(states)) - ramp.first) / (ramp.end - ramp.first), 0.0, 1.0)
+    states[:, ramp.cell - 1, STATE.index(ramp.state)] += ramp.change * share
+    if not ramp.event:
+        return []
+    text = f"Cell {ramp.cell}: {ramp.event.replace('_', ' ')}"
+    return [Happening(ramp.end * MINUTES_A_DAY, ramp.cell, "CMMS", ramp.event, text)]
 
 
 def _cell(rows: int, cell: int, rng: np.random.Generator) -> tuple[Array, list[Happening]]:

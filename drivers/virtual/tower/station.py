@@ -68,6 +68,8 @@ class SimulationPlan:
     segments
         Days [first, end) that are simulated, in order and apart, each from a plant at rest; all days without. The
         archive has no sample of other days. Weather, operation and degradation are those of the whole time.
+    ramps
+        Changes of the cells' degradation beside what the seed draws.
     """
 
     months: float = 14.0
@@ -78,6 +80,7 @@ class SimulationPlan:
     defects: bool = False
     weather: Path | None = None
     segments: tuple[tuple[int, int], ...] = ()
+    ramps: tuple[degradation.Ramp, ...] = ()
 
     @property
     def days(self) -> int:
@@ -122,7 +125,7 @@ def simulate(
     WeatherError
         A file of weather cannot be read.
     ValueError
-        An effect to hide is not known.
+        An effect to hide is not known, or a ramp is of no cell or state of the station.
     """
     days, n = plan.days, plan.days * MINUTES_A_DAY
     seeds = np.random.SeedSequence([plan.seed, ord(site.station)]).spawn(len(STREAMS))
@@ -133,7 +136,9 @@ def simulate(
     year = weather.read_year(file) if file else weather.made_year(site.climate, streams["weather"])
     air = weather.minutes(year, plan.start, n, streams["weather"])
     done = operation.operate(site, plan.start, n, streams["operation"])
-    life = degradation.live(built, days, streams["life"], lambda c: tag_name(site, "water_outlet_temperature", c + 1))
+    life = degradation.live(
+        built, days, streams["life"], lambda c: tag_name(site, "water_outlet_temperature", c + 1), plan.ramps
+    )
     sectors = built.shares.shape[2]
     note(f"station {site.station}: {site.cells} cells of {sectors} sectors, {days} days, weather by {year.source}")
     columns = np.stack([air.dry, air.ratio, air.pressure, air.wind, air.direction, air.sun], axis=1)

@@ -21,12 +21,8 @@ PARTS = {"deviations": ("fill %", 4.1), "air": ("air %", 3.6), "uniformity": ("u
 def calibration_rows(published: Published) -> dict[str, Outcome]:
     """Return the outcomes of A10 to A28 that published results have."""
     found = {
-        "ramp": not_measured("no bench adds a ramp of the fill to a record"),
-        "cleaning": not_measured("no bench counts the excited windows after a cleaning"),
-        "proposals": not_measured("no bench compares proposals with simulated inspections"),
         "review": not_measured("needs engineers at a plant"),
         "sizes": not_measured("10.6 M was not trained, and both other sizes have the start's outlet"),
-        "withheld error": not_measured("the tower bench does not split its errors by withheld windows"),
     }
     for rows in (_deviations, _intervals, _steps, _withheld, _latency, _loop, _undeclared):
         found |= rows(published)

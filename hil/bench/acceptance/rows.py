@@ -7,6 +7,7 @@ from pathlib import Path
 
 from hil.bench.acceptance.calibration import calibration_rows
 from hil.bench.acceptance.criteria import CRITERIA
+from hil.bench.acceptance.governance import governance_rows
 from hil.bench.acceptance.outcome import FAILED, NOT_MEASURED, REACHED, Outcome, Published, not_measured
 from hil.bench.acceptance.outlet import outlet_rows
 from hil.bench.acceptance.physics import physics_measures
@@ -57,7 +58,7 @@ def assemble(
         A page is no result of a bench.
     """
     published = Published(results)
-    found: dict[str, Outcome] = outlet_rows(published) | calibration_rows(published)
+    found: dict[str, Outcome] = outlet_rows(published) | calibration_rows(published) | governance_rows(published)
     left_out: list[str] = []
     if say is None:
         left_out.append("rows measured here: run without --no-measure")

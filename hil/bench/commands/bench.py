@@ -16,6 +16,7 @@ from hil.bench.commands.blind import (
 )
 from hil.bench.commands.effects import effects_command
 from hil.bench.commands.fleet import fleet_command
+from hil.bench.commands.governance import tower_governance_command
 from hil.bench.commands.network import audit_command, tower_rivals_command, tower_rows_command
 from hil.bench.commands.rig import bus_command, faults_command, files_command, loop_command, wire_command
 from hil.bench.commands.sinks import sinks_command
@@ -64,6 +65,7 @@ for _bench in (
     effects_command,
     structure_command,
     tower_command,
+    tower_governance_command,
     tower_rivals_command,
     tower_rows_command,
     faults_command,

@@ -119,6 +119,19 @@ MEASURED: dict[str, dict[str, tuple[str, ...]]] = {
         "tower_stations": (*_TOWER, "drivers/historian", "drivers/virtual/tower", "hil/bench/tower_stations.py"),
         "tower_steps": (*_TOWER, "hil/bench/tower_steps.py"),
     },
+    "tower-governance": {
+        "tower_governance": (
+            *_TOWER,
+            "drivers/historian",
+            "drivers/virtual/tower",
+            "hil/bench/tower_governance/cases.py",
+            "hil/bench/tower_governance/figures.py",
+            "hil/bench/tower_governance/known.py",
+            "hil/bench/tower_governance/tables.py",
+            "hil/bench/tower_governance/trial.py",
+            "hil/bench/tower_stations.py",
+        ),
+    },
     "tower-rivals": {
         "tower_rivals": (
             "twin/calibrators/hiera_unet",

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from drivers.virtual.tower.degradation import Ramp
 from drivers.virtual.tower.effects import EFFECTS, hidden_effects
 from drivers.virtual.tower.export import key_of, write_station
 from drivers.virtual.tower.physics.plant import OF_STATION
 from drivers.virtual.tower.sites import CHICAGO_SITE, MIAMI_SITE
-from drivers.virtual.tower.station import Simulated, SimulationPlan, simulate
+from drivers.virtual.tower.station import Simulated, SimulationPlan, simulate, state_by_minute
 from hil.tower.station import read_station
 
 DAYS_4 = 4 / 30.4375
@@ -52,6 +54,31 @@ def test_parts_of_a_record_have_the_weather_and_wear_of_the_whole_and_no_sample_
     for samples in parts.samples.values():
         assert not ((samples.time_s >= 86400.0) & (samples.time_s < 2 * 86400.0)).any()
         assert np.isfinite(samples.value).all()
+
+
+def test_a_ramp_of_a_plan_wears_the_plant_of_its_cell_alone_and_has_its_entry(clean: Simulated) -> None:
+    loss = Ramp(1, "fill", 1, 3, -0.12)
+    cleaned = Ramp(2, "uniformity", 0, 1, 0.05, "nozzle_cleaning")
+    plan = replace(clean.plan, ramps=(loss, cleaned))
+    worn = simulate(CHICAGO_SITE, 2, replace(plan, cells=2))
+    before, after = (state_by_minute(one, 1)["fill"] for one in (clean, worn))
+    day = np.arange(len(before)) / 1440.0
+    np.testing.assert_allclose(after - before, -0.12 * np.clip((day - 1.0) / 2.0, 0.0, 1.0), atol=1e-9)
+    np.testing.assert_array_equal(worn.truth.life.states[:, 2:], clean.truth.life.states[:, 2:])
+    # The fan makes up for a part of the lost fill.
+    late = (day > 3.0) & (clean.truth.cell("on", 1) > 0.5) & (worn.truth.cell("on", 1) > 0.5)
+    speed, water = (worn.truth.cell(n, 1)[late] - clean.truth.cell(n, 1)[late] for n in ("speed", "t_out"))
+    assert speed.mean() >= 0.0 and water.mean() + 0.02 * speed.mean() > 0.05
+    done = [one for one in worn.truth.life.happenings if one.event == "nozzle_cleaning"]
+    assert [(one.cell, one.minute) for one in done] == [(2, 1440)]
+
+
+@pytest.mark.parametrize(
+    "ramp", [Ramp(5, "fill", 0, 1, -0.1), Ramp(1, "rust", 0, 1, -0.1), Ramp(1, "fill", 1, 1, -0.1)]
+)
+def test_a_ramp_that_no_plant_can_have_is_refused(ramp: Ramp) -> None:
+    with pytest.raises(ValueError, match="give a cell from 1 to 4, a state among fill, uniformity"):
+        simulate(CHICAGO_SITE, 1, SimulationPlan(months=DAYS_4 / 4, cells=1, seed=11, ramps=(ramp,)))
 
 
 def test_defects_change_the_record_and_not_the_plant(made: Simulated, clean: Simulated) -> None:
