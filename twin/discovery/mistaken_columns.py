@@ -52,8 +52,11 @@ def column_mistakes(network: Network, record: Columns, healthy: Columns | None =
     if not ids:
         return ()
     probe = Probe(network, ids)
-    usual = network.sigma if healthy is None else np.hypot(network.sigma, _rms(probe, healthy))
-    found = _rms(probe, record)
+    try:
+        usual = network.sigma if healthy is None else np.hypot(network.sigma, _rms(probe, healthy))
+        found = _rms(probe, record)
+    except TwinFileError:
+        return ()
     before = _squares(found, usual)
     if not before > FAR_OFF**2 * np.isfinite(found).sum():
         return ()
@@ -74,9 +77,17 @@ def column_mistakes(network: Network, record: Columns, healthy: Columns | None =
 
 
 def _rms(probe: Probe, record: Columns) -> Array:
-    """Return the error (m,), K, of the commissioned twin's free run; NaN for a sensor without a reading."""
+    """Return the error (m,), K, of the commissioned twin's free run; NaN for a sensor without a reading.
+
+    Raises
+    ------
+    TwinFileError
+        The free run does not stay finite.
+    """
     grid = on_grid(probe.network, record.time_s, record.inputs, record.measured)
     _, _, residual, good = free_run(probe, grid)
+    if (np.isfinite(grid.measured) & ~good).any():
+        raise TwinFileError("the twin's free run does not stay finite")
     count = good.sum(axis=0)
     squares = np.where(good, residual, 0.0) ** 2
     return np.where(count > 0, np.sqrt(squares.sum(axis=0) / np.maximum(count, 1)), np.nan)

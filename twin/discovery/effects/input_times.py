@@ -29,7 +29,9 @@ def heat_by_input_times(book: Book, grid: Grid, run: FreeRun, period_s: float) -
     """
     columns = [j for j, c in enumerate(book.network.input_columns) if not c.startswith(CLOCK_PREFIX)]
     share = SHARE * period_s / grid.step_s
-    found = np.stack([share * book.heat_of_earlier_input(grid, run, j) for j in columns])
+    found = np.zeros((len(columns), *run.temperatures.shape))
+    for of_input, j in zip(found, columns, strict=True):
+        of_input[:] = share * book.heat_of_earlier_input(grid, run, j)
     # What changes at the first bin of a segment has changed before it.
     found[:, [b - 1 for b in grid.begins if b > 0]] = 0.0
     return found
