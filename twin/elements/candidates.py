@@ -90,6 +90,15 @@ class Candidate:
         """Return True for a thermometer that reads the same whatever it measures."""
         return self.kind == "sensor" and any("_sticks" in name for name in self.adds)
 
+    def at_bound(self, size: float) -> bool:
+        """Return True if a size is on a bound that is not all there is: such a size is not known.
+
+        All there is are the water of a volume (`exhausts`), and all of a share or nothing of it.
+        """
+        ends = (-1.0, 1.0) if self.unit == "1" else ()
+        low = size <= self.lower and self.lower not in ends
+        return low or (size >= self.upper and self.upper not in ends and not self.exhausts)
+
     @property
     def passes(self) -> bool:
         """Return True for an event, which never stays."""

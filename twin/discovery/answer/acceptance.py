@@ -12,20 +12,26 @@ from twin.discovery.evidence.held_out import contradicted, predicts_worse
 from twin.discovery.evidence.priors import FORM_ERRORS
 from twin.discovery.places.localise import acts_all_along
 from twin.discovery.places.sites import sites_of
+from twin.discovery.scoring.search import Entry
 
 
 def accepted(case: AssessedFinding) -> bool:
-    """Return True if effects are claimed and the held-out segment does not contradict them.
+    """Return True if effects are claimed, of possible sizes, and the held-out segment does not contradict them.
 
     A held-out segment shorter than a block is a single sample of the unmodelled noise, and contradicts nothing.
     """
-    if case.finding.fit is None:
+    if case.finding.fit is None or beyond_bounds(case) is not None:
         return False
     held_out_s = (len(case.grid.time) - case.split) * case.grid.step_s
     if held_out_s < case.whole.step_s:
         return True
     worse = predicts_worse(case.errors, case.finding.entries)
     return not worse and not contradicted(case.errors, case.known.probe.network)
+
+
+def beyond_bounds(case: AssessedFinding) -> Entry | None:
+    """Return an effect of the answer that ends on a bound of what its place can have; None if there is none."""
+    return next((e for e in case.finding.entries if e.candidate.at_bound(e.size)), None)
 
 
 def adequate(case: AssessedFinding) -> bool:
@@ -36,6 +42,8 @@ def adequate(case: AssessedFinding) -> bool:
     """
     finding = case.finding
     if explains_too_little(case.known.probe.network, case.errors, case.grid.measured):
+        return False
+    if beyond_bounds(case) is not None:
         return False
     named = finding.odds if finding.fit is None else -math.inf
     if finding.unlisted >= named and of_form(case):

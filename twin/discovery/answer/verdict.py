@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.discovery.answer.acceptance import accepted, adequate, of_form
+from twin.discovery.answer.acceptance import accepted, adequate, beyond_bounds, of_form
 from twin.discovery.answer.assessed_finding import AssessedFinding
 from twin.discovery.answer.blind_spots import further_group_members, practical_ambiguities, structural_ambiguities
 from twin.discovery.answer.isolation import (
@@ -24,7 +24,7 @@ from twin.discovery.answer.words import summarise
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, OwnCourse, Verdict
 from twin.discovery.effects.ambiguity_groups import ambiguity_groups
 from twin.discovery.effects.open_laws.laws import adopted
-from twin.discovery.effects.phrases import clock
+from twin.discovery.effects.phrases import clock, said
 from twin.discovery.effects.probe import FreeRun
 from twin.discovery.effects.shapes import TIMED
 from twin.discovery.evidence.commissioned import nothing, retuned_alone
@@ -54,6 +54,7 @@ _FORM = (
     "what no effect explains acts all along, and is less than a tenth of what the twin's own law has at its place: no "
     "more than such a law may be in error itself"
 )
+_ON_A_BOUND = "the likeliest effect is not claimed, as its size ends on a bound of what is possible"
 _REFUTED = "the likeliest effect is not claimed: what it predicts for the held-out segment does not hold there"
 _USUAL = (
     "re-tuned, the twin is off on the held-out segment by no more than one as good as when it was commissioned may "
@@ -88,6 +89,9 @@ def conclude(case: AssessedFinding, notes: tuple[str, ...]) -> Diagnosis:
         claimed = False
         followed = f"several effects would explain the record together, but all of them follow {curve.variable}"
         notes = (*notes, f"{followed}: one curve of it at {curve.node} does as well")
+    beyond = beyond_bounds(case)
+    if beyond is not None:
+        notes = (*notes, f"{_ON_A_BOUND}: {said(beyond.candidate, beyond.size)}")
     if not claimed and adequate(case):
         if finding.fit is not None and curve is None:
             notes = (*notes, _REFUTED)

@@ -240,7 +240,7 @@ def finding_of(found: Found, part: Part, record_s: float, *, fewer: bool = False
     """
     score_test, claim = part.score_test, max(CLAIM, part.basis.claim)
     part.reset()
-    best = found.told
+    best = _of_possible_sizes(found)
     least = max(claim, found.unlisted if best is None else found.rival_of(best))
     together = _at_one_moment(best, score_test) if best is not None and best.odds >= least else None
     if fewer and together is not None and best is not None:
@@ -280,6 +280,19 @@ def finding_of(found: Found, part: Part, record_s: float, *, fewer: bool = False
         tuple(e.going_on(part.grid.span_s, record_s) for e in those) for those in (told.entries, used.entries)
     )
     return replace(finding, entries=entries, fit=replace(used, entries=grown), folds=folds)
+
+
+def _of_possible_sizes(found: Found) -> Hypothesis | None:
+    """Return the likeliest hypothesis, or one without those of its effects whose sizes end on a bound."""
+    best = found.told
+    if best is None or not _on_a_bound(best):
+        return best
+    fewer = with_fewer_effects(best, found.hypotheses, -math.inf)
+    return max((h for h in fewer if not _on_a_bound(h)), key=lambda h: h.odds, default=best)
+
+
+def _on_a_bound(h: Hypothesis) -> bool:
+    return any(e.candidate.at_bound(e.size) for e in h.entries)
 
 
 def with_fewer_effects(best: Hypothesis, hypotheses: Sequence[Hypothesis], enough: float) -> list[Hypothesis]:
