@@ -20,7 +20,7 @@ from twin.discovery.healthy.health import Health, NotHealthyError
 from twin.discovery.healthy.law_amplitudes import HealthyResidual, MissingInHealth
 from twin.discovery.records import noise as noises
 from twin.discovery.records.grid import Grid, on_grid, sample_period
-from twin.discovery.scoring.score_tests import ScoreTest
+from twin.discovery.scoring.score_tests import ScoreTest, UsualErrors
 from twin.discovery.scoring.search import scan
 from twin.discovery.scoring.structure import Structure
 from twin.gauss_newton import GaussianPrior
@@ -130,7 +130,7 @@ class Basis:
             here = offsets(self.probe.network, laws, grid)
             structure, laws = structure.beyond(here), [*laws, *here]
         times = heat_by_input_times(self.book, grid, run, self.period_s) if self.period_s else None
-        return ScoreTest(self.probe, grid, state, run, self.noise, self.prior, structure, laws, times)
+        return ScoreTest(self.probe, grid, state, run, self.noise, self.prior, UsualErrors(structure, laws, times))
 
     @property
     def claim(self) -> float:

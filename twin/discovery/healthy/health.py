@@ -15,7 +15,7 @@ from twin.discovery.healthy.law_amplitudes import HealthyResidual
 from twin.discovery.records import noise as noises
 from twin.discovery.records.grid import Grid, on_grid
 from twin.discovery.records.noise import Noise
-from twin.discovery.scoring.score_tests import ScoreTest
+from twin.discovery.scoring.score_tests import ScoreTest, UsualErrors
 from twin.discovery.scoring.structure import Structure, structure_of
 from twin.gauss_newton import GaussianPrior
 from twin.network import Array, Network, TwinFileError
@@ -124,7 +124,7 @@ def _readings(
     laws: list[CandidateLaw],
 ) -> Array:
     """Return the change of the readings (n, m), K, by the model error and the tunables that go with it."""
-    score_test = ScoreTest(probe, grid, state, run, noise, prior, structure, laws)
+    score_test = ScoreTest(probe, grid, state, run, noise, prior, UsualErrors(structure, laws))
     size = dict(zip((c.id for c in structure.candidates), structure.sizes, strict=True))
     heat, reading = np.zeros_like(run.temperatures), np.zeros_like(run.readings)
     for law in laws:

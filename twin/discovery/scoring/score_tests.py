@@ -68,6 +68,22 @@ def repeated(prior: GaussianPrior, q: int, segments: int) -> GaussianPrior:
 
 
 @dataclass(frozen=True)
+class UsualErrors:
+    """Errors of a record that are no effect, beside noise.
+
+    Attributes:
+        structure: model error present throughout, by its amplitudes of the `laws` on this record. Its mean is
+            subtracted from the residual, and its uncertainty is noise. None if it is unknown.
+        by_times: (c, n, k) W, heat by one standard deviation of the times at which each input changes, which is noise
+            too; each change has its own. None if the times are known.
+    """
+
+    structure: Structure | None = None
+    laws: Sequence[CandidateLaw] = ()
+    by_times: Array | None = None
+
+
+@dataclass(frozen=True)
 class JointEstimate:
     """Joint estimate of several effects.
 
@@ -86,10 +102,7 @@ class ScoreTest:
     Args:
         noise: of a healthy residual, which is scaled to the variation of this run.
         prior: of [tunables z, initial state].
-        structure: model error present throughout, by its amplitudes of the `laws` on this record. Its mean is
-            subtracted from the residual, and its uncertainty is noise. None if it is unknown.
-        by_times: (c, n, k) W, heat by one standard deviation of the times at which each input changes, which is noise
-            too; each change has its own. None if the times are known.
+        usual: errors beside noise, which are no effect.
 
     Raises:
         TwinFileError: heat in the twin's nodes moves no reading, or its effect is not finite.
@@ -115,9 +128,7 @@ class ScoreTest:
         run: FreeRun,
         noise: Noise,
         prior: GaussianPrior,
-        structure: Structure | None = None,
-        laws: Sequence[CandidateLaw] = (),
-        by_times: Array | None = None,
+        usual: UsualErrors | None = None,
     ) -> None:
         self.probe, self.grid, self.prior = probe, grid, repeated(prior, probe.q, len(grid.begins))
         self.noise = noise.where_moved(run.readings, grid.step_s)
@@ -151,8 +162,9 @@ class ScoreTest:
         self._open: tuple[Array, Array] | None = None
         sensitivities = self.seen(np.moveaxis(probe.sensitivities(grid, state), 2, 0))
         self.slopes = self.features(np.moveaxis(sensitivities, 0, 2))
-        times = None if by_times is None else self._by_times(by_times, run, state)
-        self._open, self._less = self._left_by(structure, laws, times)
+        usual = usual or UsualErrors()
+        times = None if usual.by_times is None else self._by_times(usual.by_times, run, state)
+        self._open, self._less = self._left_by(usual.structure, usual.laws, times)
         self._columns, self.slopes = self._narrowed(self._columns), self._narrowed(self.slopes)
         self._normal = self.slopes.T @ self.slopes + self.prior.precision
         cross = self.slopes.T @ self._columns
