@@ -24,7 +24,7 @@ def case(monkeypatch: pytest.MonkeyPatch, site: str, mean: Array, unlisted: floa
     monkeypatch.setattr(acceptance, "sites_of", lambda *_: {"rejection": RADIATOR, "tank": TANK})
     monkeypatch.setattr(acceptance, "explains_too_little", lambda *_: False)
     course = Course(site, "W/K", np.arange(240) / 12.0, mean, np.ones(240), 60.0)
-    finding = SimpleNamespace(odds=20.0, fit=None, unlisted=unlisted, claim=12.0)
+    finding = SimpleNamespace(odds=20.0, fit=None, entries=(), unlisted=unlisted, claim=12.0)
     known = SimpleNamespace(probe=SimpleNamespace(network=None))
     grid = SimpleNamespace(measured=None)
     more = {"errors": {}, "laws": (), "usual": False, "beyond": False}

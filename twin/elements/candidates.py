@@ -93,10 +93,11 @@ class Candidate:
     def at_bound(self, size: float) -> bool:
         """Return True if a size is on a bound that is not all there is: such a size is not known.
 
-        All there is are the water of a volume (`exhausts`), and all of a share or nothing of it.
+        All there is are the water of a volume (`exhausts`), all of a share or nothing of it, and the least of what the
+        twin has already.
         """
         ends = (-1.0, 1.0) if self.unit == "1" else ()
-        low = size <= self.lower and self.lower not in ends
+        low = size <= self.lower and self.lower not in ends and self.change == "new"
         return low or (size >= self.upper and self.upper not in ends and not self.exhausts)
 
     @property

@@ -119,7 +119,7 @@ class Merit:
             shares = [
                 (share, s)
                 for s in leading
-                if not any(e.candidate.at_bound(e.size) for e in s.fit.entries)
+                if not any(_at_bound(e) for e in s.fit.entries)
                 for better, share in [self.on_hidden_rows(self._none, s, further=True)]
                 if better >= BETTER_FOLDS and share <= MOSTLY
             ]
@@ -215,7 +215,7 @@ class Merit:
         gain = without.fit.cost - found.fit.cost + self.elsewhere(without) - self.elsewhere(found)
         if gain < NEEDED:
             return f"gains {max(gain, 0.0):.0f} where {NEEDED:.0f} are asked for"
-        if entry.candidate.at_bound(entry.size):
+        if _at_bound(entry):
             return "ends on the bound of what is possible"
         chance = self.chance(without).limit
         if gain < chance:
@@ -292,3 +292,8 @@ def mostly_explained(after: float, before: float) -> bool:
 
 def _beyond_noise(one: FittedSet) -> float:
     return max(one.squares - float(np.isfinite(one.problem.samples.measured).sum()), 1e-12)
+
+
+def _at_bound(entry: Entry) -> bool:
+    """Return True also for the least of what the twin has: without a healthy record its value is not known."""
+    return entry.size <= entry.candidate.lower or entry.candidate.at_bound(entry.size)
