@@ -20,7 +20,7 @@ def accepted(case: AssessedFinding) -> bool:
 
     A held-out segment shorter than a block is a single sample of the unmodelled noise, and contradicts nothing.
     """
-    if case.finding.fit is None or beyond_bounds(case) is not None:
+    if case.finding.fit is None or effect_on_a_bound(case) is not None:
         return False
     held_out_s = (len(case.grid.time) - case.split) * case.grid.step_s
     if held_out_s < case.whole.step_s:
@@ -29,7 +29,7 @@ def accepted(case: AssessedFinding) -> bool:
     return not worse and not contradicted(case.errors, case.known.probe.network)
 
 
-def beyond_bounds(case: AssessedFinding) -> Entry | None:
+def effect_on_a_bound(case: AssessedFinding) -> Entry | None:
     """Return an effect of the answer that ends on a bound of what its place can have; None if there is none."""
     return next((e for e in case.finding.entries if e.candidate.at_bound(e.size)), None)
 
@@ -43,7 +43,7 @@ def adequate(case: AssessedFinding) -> bool:
     finding = case.finding
     if explains_too_little(case.known.probe.network, case.errors, case.grid.measured):
         return False
-    if beyond_bounds(case) is not None:
+    if effect_on_a_bound(case) is not None:
         return False
     named = finding.odds if finding.fit is None else -math.inf
     if finding.unlisted >= named and of_form(case):

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.discovery.answer.acceptance import accepted, adequate, beyond_bounds, of_form
+from twin.discovery.answer.acceptance import accepted, adequate, effect_on_a_bound, of_form
 from twin.discovery.answer.assessed_finding import AssessedFinding
 from twin.discovery.answer.blind_spots import further_group_members, practical_ambiguities, structural_ambiguities
 from twin.discovery.answer.isolation import (
@@ -89,9 +89,9 @@ def conclude(case: AssessedFinding, notes: tuple[str, ...]) -> Diagnosis:
         claimed = False
         followed = f"several effects would explain the record together, but all of them follow {curve.variable}"
         notes = (*notes, f"{followed}: one curve of it at {curve.node} does as well")
-    beyond = beyond_bounds(case)
-    if beyond is not None:
-        notes = (*notes, f"{_ON_A_BOUND}: {said(beyond.candidate, beyond.size)}")
+    ended = effect_on_a_bound(case)
+    if ended is not None:
+        notes = (*notes, f"{_ON_A_BOUND}: {said(ended.candidate, ended.size)}")
     if not claimed and adequate(case):
         if finding.fit is not None and curve is None:
             notes = (*notes, _REFUTED)
