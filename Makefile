@@ -48,9 +48,9 @@ demo-tower: $(STAMP)
 # Four workers on two cores: many tests wait for clocks. A file's fixtures (a rig, a run) are made once, and the files
 # that take longest come first (tests/durations.txt, which `make test PYTEST=--write-durations` measures anew).
 # The tests start hundreds of processes, so the sources are compiled to bytecode once before, also where the
-# environment forbids Python to write it.
+# environment forbids Python to write it; the tests themselves are by the collection of `make check`.
 XDIST := --dist loadfile --no-loadscope-reorder
-test test-fast: export PYTHONDONTWRITEBYTECODE :=
+test test-fast check: export PYTHONDONTWRITEBYTECODE :=
 test: $(STAMP)
 	$(BIN)/python -m compileall -q -j 0 hil drivers twin
 	$(BIN)/python -m pytest -n 4 $(XDIST) $(PYTEST)

@@ -106,6 +106,27 @@ class FitData:
         return tuple(found)
 
 
+    def thinned(self, step_s: float) -> FitData:
+        """Return about one sample in `step_s`, with the inputs' means until the next one and as much weight in all.
+
+        A descent finds the neighbourhood of its minimum from them at a fraction of the cost.
+        """
+        every = int(step_s / np.median(np.diff(self.time)) + 1e-9) if len(self.time) > 1 else 1
+        if every < 2:
+            return self
+        kept, begins = [], [0]
+        for rows in segment_rows(self.begins, len(self.time)):
+            kept.append(np.arange(rows.start, rows.stop, every))
+            begins.append(begins[-1] + len(kept[-1]))
+        first = np.concatenate(kept)
+        held = np.diff(self.time, append=self.time[-1])[:, None]
+        length = np.add.reduceat(held, first)
+        means = np.add.reduceat(self.inputs * held, first) / np.where(length > 0.0, length, 1.0)
+        inputs = np.where(length > 0.0, means, self.inputs[first])
+        weight = self.weight[first] * np.sqrt(every)
+        return FitData(self.time[first], inputs, self.measured[first], weight, tuple(begins[:-1]))
+
+
 @dataclass(frozen=True)
 class GaussianPrior:
     """A Gaussian prior of [parameters z, state K]: mean (q + k,), precision (q + k, q + k)."""

@@ -222,3 +222,17 @@ def test_what_the_record_shows_at_its_end_alone_is_fitted(loop: Network) -> None
     for name, sigma in zip(loop.sensor_names, loop.sigma, strict=True):
         assert done.rmse_after[name] < 1.05 * sigma
     assert done.network.revision.held_out_s == done.held_out_s
+
+
+def test_a_descent_from_few_samples_sees_the_same_heat_weight_and_restarts(loop: Network) -> None:
+    t, u, y = record(loop, n=3600)
+    weight = np.where(np.isfinite(y), 1.0 / loop.sigma, 0.0)
+    full = FitData(t, u, y, weight, (0, 1234))
+    few = full.thinned(10.0)
+    assert few.begins == (0, 124) and few.time[124] == t[1234]
+    assert len(few.time) == 361
+    # All columns are held: the heat between two kept samples is that of all samples between them.
+    lengths = np.diff(few.time, append=t[-1])[:, None]
+    assert (few.inputs * lengths).sum(axis=0) == pytest.approx((u * np.diff(t, append=t[-1])[:, None]).sum(axis=0))
+    assert (few.weight**2).sum() == pytest.approx((weight**2).sum(), rel=0.01)
+    assert full.thinned(1.9) is full

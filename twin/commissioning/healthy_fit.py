@@ -31,6 +31,8 @@ FEWEST, FEWEST_IN_TIME = 10, 50
 """Residuals from which a variance is estimated, and from which an autocorrelation time is."""
 AT_BOUND = 1e-6
 """Share of its range within which a value that ended on a bound is at it: more than the optimiser rounds by, 1e-9."""
+THINNED_S = 10.0
+"""Interval of the samples from which the descents begin, s: the bin of a diagnosis, short beside a volume's memory."""
 INITIAL_SD_K = 5.0
 """Standard deviation of the initial state's prior, K: wide, because most records begin in motion."""
 
@@ -160,7 +162,8 @@ def commission(
 
     Notes
     -----
-    Bounded Gauss-Newton descents (`twin.gauss_newton`) from several starts. The prior of the last descent is as strong
+    Bounded Gauss-Newton descents (`twin.gauss_newton`) from several starts, with samples 10 s apart or as far as the
+    record's; the best goes on with all samples. The prior of the last descent is as strong
     against the data as the residuals are far from white (`variance_inflation`).
     """
     tunables, held_out, initial_sd = options.tunables, options.held_out, options.initial_sd
@@ -202,9 +205,10 @@ def commission(
     prior = weak_prior(scaling, start, state0, initial_sd)
     rng = np.random.default_rng(options.seed)
     fits: list[GaussNewtonFit] = []
+    thin = data.thinned(THINNED_S)
     for k in range(max(options.starts, 1)):
         z = scaling.to_z(start) + (rng.normal(0.0, scaling.prior_sd()) if k else 0.0)
-        fits.append(fit_parameters(kernel, scaling, network.values, data, scaling.to_values(z), state0, prior))
+        fits.append(fit_parameters(kernel, scaling, network.values, thin, scaling.to_values(z), state0, prior))
     best = min(fits, key=lambda f: f.cost)
     agree = sum(f.cost < best.cost * 1.001 for f in fits)
 
