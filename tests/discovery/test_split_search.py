@@ -36,27 +36,17 @@ def heat_then_mass(bench: Bench, heat_h: float, mass_h: float) -> Columns:
     return Columns(t, u, y + bench.network.sigma * np.random.default_rng(5).normal(0.0, 1.0, y.shape))
 
 
-@pytest.mark.parametrize(
-    ("rig", "since_h", "bias_K", "seen_h"), [("brisk", 12.5, 0.12, 14.4), ("bench", 14.6, 0.6, 15.5)]
-)
-def test_what_only_the_last_part_shows_beside_the_answer_is_told(
-    request: pytest.FixtureRequest, rig: str, since_h: float, bias_K: float, seen_h: float
-) -> None:
+def test_what_only_the_last_part_shows_beside_the_answer_is_told(brisk: Bench) -> None:
     """Of what begins after nine tenths the fit is given half."""
-    own: Bench = request.getfixturevalue(rig)
-    record = own.record(16.0, changed=own.with_element("heat", HEAT), onset_h=3.0)
-    j = own.network.sensor_names.index("T_tank_C")
-    record.measured[record.time_s > since_h * own.hour_s, j] += bias_K
-    found = diagnose(own.network, record, own.record(10.0, seed=7))
+    record = brisk.record(16.0, changed=brisk.with_element("heat", HEAT), onset_h=3.0)
+    j = brisk.network.sensor_names.index("T_tank_C")
+    record.measured[record.time_s > 12.5 * HOUR, j] += 0.12
+    found = diagnose(brisk.network, record, brisk.record(10.0, seed=7))
     assert {(e.kind, e.where) for e in found.effects} == {("heat_source", "modules"), ("sensor", "T_tank_C")}
     tank = next(e for e in found.effects if e.kind == "sensor")
-    assert tank.value == pytest.approx(bias_K, rel=0.1) and tank.onset_s == pytest.approx(
-        since_h * own.hour_s, abs=300.0
-    )
-    assert found.held_out_s[0] == pytest.approx(seen_h * own.hour_s, abs=120.0)
-    assert any(
-        f"the fit was given the record up to {seen_h * own.hour_s / 3600.0:.1f} h" in note for note in found.notes
-    )
+    assert tank.value == pytest.approx(0.12, rel=0.1) and tank.onset_s == pytest.approx(12.5 * HOUR, abs=300.0)
+    assert found.held_out_s[0] == pytest.approx(14.4 * HOUR, abs=120.0)
+    assert any("the fit was given the record up to 1.8 h" in note for note in found.notes)
 
 
 def test_a_second_effect_that_the_fit_would_see_the_first_minutes_of_is_seen_for_half_of_its_time(
