@@ -105,7 +105,6 @@ class FitData:
             found.append(FitData(self.time[r], self.inputs[r], self.measured[r], weight))
         return tuple(found)
 
-
     def thinned(self, step_s: float) -> FitData:
         """Return about one sample in `step_s`, with the inputs' means until the next one and as much weight in all.
 

@@ -43,11 +43,14 @@ class Segments:
         (N,) bool, rows inside gaps.
     gaps
         First and last time of each gap, s.
+    known
+        First row at which the inputs are known, and the row after the last one.
     """
 
     begins: tuple[int, ...]
     lost: np.ndarray
     gaps: tuple[tuple[float, float], ...]
+    known: tuple[int, int | None] = (0, None)
 
     @property
     def sentence(self) -> str:
@@ -107,7 +110,7 @@ def find_segments(network: Network, time: Array, inputs: Array) -> Segments:
         lost[rows[i] + 1 : rows[i + 1]] = True
     gaps = tuple((float(time[rows[i]]), float(time[rows[i + 1]])) for i in found)
     begins = (0, *(int(rows[i + 1]) for i in found))
-    return Segments(begins, lost, gaps)
+    return Segments(begins, lost, gaps, (int(rows[0]), int(rows[-1]) + 1))
 
 
 def segment_rows(begins: tuple[int, ...], rows: int) -> tuple[slice, ...]:

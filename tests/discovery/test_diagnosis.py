@@ -10,6 +10,7 @@ from tests.same_questions import diagnose
 from twin.discovery.engine import foresee
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.standstill import standstill
+from twin.kernel import Kernel
 from twin.network import TwinFileError
 
 HEATED = ("heat_source", "modules", "constant")
@@ -242,6 +243,24 @@ def test_a_healthy_record_that_is_not_healthy_is_refused(brisk: Bench) -> None:
     sick = brisk.record(10.0, changed=brisk.with_values(modules_power__power=300.0), onset_h=2.0)
     with pytest.raises(TwinFileError, match="does not fit the twin"):
         diagnose(brisk.network, brisk.record(), sick)
+
+
+@pytest.mark.parametrize(("first_pct", "words"), [(0.0, "fan stood for"), (6.0, "fan turned too slowly for")])
+def test_a_rig_that_starts_from_rest_gives_no_alarm(
+    bench: Bench, healthy: Columns, first_pct: float, words: str
+) -> None:
+    """Half an hour with little fan, of which no twin knows how warm it leaves the water: it begins after that."""
+    t, u = bench.inputs(10.0, 3)
+    n = int(np.searchsorted(t, 1800.0))
+    u[:n, 2] = first_pct
+    still = bench.with_values(fins__UA_still=30.0)
+    begun, ends = Kernel(still, ()).trace(still.values, np.full(4, 24.0), t[: n + 1], u[: n + 1])
+    on, _ = Kernel(bench.network, ()).trace(bench.network.values, ends[0], t[n:], u[n:])
+    y = np.vstack([begun[0][:n], on[0]])
+    noise = bench.network.sigma * np.random.default_rng(8).normal(0.0, 1.0, y.shape)
+    found = diagnose(bench.network, Columns(t, u, y + noise), healthy)
+    assert found.verdict == "adequate", found.summary
+    assert any(words in note for note in found.notes)
 
 
 def test_without_a_healthy_record_a_large_effect_is_still_found_and_the_warning_given(brisk: Bench) -> None:

@@ -23,6 +23,7 @@ from twin.discovery.evidence.priors import SPREAD
 from twin.discovery.evidence.split_search import coinciding
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
+from twin.discovery.refit.fitting import covariance_of
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import Courses
 from twin.elements.candidates import Candidate
@@ -285,3 +286,26 @@ def test_an_onset_within_a_rest_of_the_heater_is_told_to_be_within_it(bench: Ben
     effect = only(diagnose(bench.network, record, healthy))
     early, late = effect.onset_interval90_s
     assert began - 600.0 < early <= began and began + rest_s <= late < began + rest_s + 600.0
+
+
+def test_of_what_lasts_for_seconds_the_energy_is_told_and_not_the_power(brisk: Bench, brisk_healthy: Columns) -> None:
+    """The record shows how much heat came in; how strong and how long it was stays open."""
+    t, u = brisk.inputs(14.0, 6)
+    first = int(np.searchsorted(t, 6.0 * HOUR))
+    wrong = u.copy()
+    wrong[first : first + 2, 0] += 1500.0
+    read, _ = Kernel(brisk.network, ()).trace(brisk.network.values, np.array([37.0, 36.8, 34.5, 34.0]), t, wrong)
+    noise = brisk.network.sigma * np.random.default_rng(9).normal(0.0, 1.0, read[0].shape)
+    (heat,) = diagnose(brisk.network, Columns(t, u, read[0] + noise), brisk_healthy).effects
+    assert heat.where in {"heater", "heater_power"} and heat.onset_s == pytest.approx(6.0 * HOUR, abs=60.0)
+    low, high = heat.interval90
+    assert high - low > 0.5 * abs(heat.value)
+
+
+def test_a_direction_of_which_a_record_says_nothing_is_as_wide_as_its_size() -> None:
+    """Strength and length of a short spell, told by their product alone, beside a tunable that is told well."""
+    energy = np.array([1.0 / 1500.0, 0.0, 1.0])
+    normal = np.zeros((4, 4))
+    normal[0, 0], normal[1:, 1:] = 1e4, 1e14 * np.outer(energy, energy)
+    sd = np.sqrt(np.diag(covariance_of(normal, np.array([1.0, 1500.0, 1.0, 1.0]), (1, 2, 3), 10.0)))
+    assert sd[0] == pytest.approx(0.01) and 500.0 < sd[1] < 1500.0 and 0.3 < sd[3] < 1.0

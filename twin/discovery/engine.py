@@ -96,6 +96,9 @@ def _isolated(
     record, unread = _comparable(network, record, healthy)
     gaps = find_segments(network, record.time_s, record.inputs)
     record, stood = _moving(network, record, healthy)
+    # Before its inputs are known the twin cannot begin, and after that it cannot go on.
+    rows = slice(*find_segments(network, record.time_s, record.inputs).known)
+    given, record = given.part(rows), record.part(rows)
     record, still = _without_stuck(network, record)
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
     known = basis(network, healthy, grid, sample_period(record.time_s))

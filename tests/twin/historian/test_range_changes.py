@@ -9,8 +9,12 @@ import pytest
 
 from tests.twin.historian.made_station import START_S, ZONE, Instrument, archived, clean_store, instruments, scanned
 from twin.historian.defects import find_and_repair
+from twin.historian.defects.panel import panel
 from twin.historian.defects.range_changes import range_changes
-from twin.historian.tags import Defect, Series
+from twin.historian.defects.range_changes.candidates import LeapCandidate
+from twin.historian.defects.range_changes.judgement import others_moved, return_map, unusual_changes
+from twin.historian.defects.range_changes.maps import Leap
+from twin.historian.tags import Defect, Series, Tag
 
 DAY_S = 86400.0
 
@@ -181,3 +185,56 @@ def test_a_change_in_the_minutes_of_a_step_of_the_load_starts_where_its_samples_
     assert [one.tags for one in found] == [("TRET",)]
     assert abs(found[0].start_s - START_S - at * DAY_S) < 3600.0
     assert abs(found[0].end_s - START_S - (at + 5.5) * DAY_S) < 3600.0
+
+
+def test_a_humidity_that_was_saturated_for_a_day_is_right_again_after_it() -> None:
+    """The leap to saturation is no measure of the leap back."""
+    rng = np.random.default_rng(84)
+    minute = np.arange(20 * 1440)
+    share = 45.0 + 8.0 * np.sin(2 * np.pi * minute / 1440.0) + 12.0 * np.sin(minute / 2500.0)
+    high = np.where((minute > 9 * 1440) & (minute < 10.6 * 1440), 97.0 + np.sin(minute / 40.0), share + 1.0)
+    made = [
+        Instrument(Tag("RHA", "%", "relative_humidity", None, 120.0), high, 0.3, 0.1, 0.8, "met"),
+        Instrument(Tag("RHB", "%", "relative_humidity_redundant", None, 120.0), share, 0.3, 0.1, 0.8, "met"),
+    ]
+    found = range_changes([archived(one, scanned(one, rng)) for one in made]).defects
+    assert [one.tags for one in found] == [("RHA",)]
+    assert abs(found[0].start_s - START_S - 9.0 * DAY_S) < 3600.0
+    assert abs(found[0].end_s - START_S - 10.6 * DAY_S) < 3600.0
+
+
+def test_a_leap_may_begin_the_span_that_a_later_one_ends() -> None:
+    """Which of two levels is right the first leap tells, also where it was found after the second."""
+    n = 10 * 1440
+    flow = np.full(n, 700.0)
+    flow[3 * 1440 : 7 * 1440] *= 0.5
+    one = Instrument(Tag("F1", "m3/h", "water_flow", 1, 120.0), flow, 2.0, 1.0, 9.0, "plc1")
+    table = panel([archived(one, scanned(one, np.random.default_rng(86)))])
+    time_s = table.series[0].time_s
+    begins, ends = (int(np.searchsorted(time_s, START_S + day * DAY_S)) for day in (3.0, 7.0))
+    end = Leap(float(time_s[ends - 1]), float(time_s[ends]), 2.0, 0.0, 0.01, False)
+    at = LeapCandidate(begins - 1, begins, False)
+    assert return_map(table, 0, at, []) is None
+    assert return_map(table, 0, at, [end]) == (0.5, 0.0)
+    assert return_map(table, 0, LeapCandidate(200, 201, False), [end]) is None
+
+
+def test_a_cell_whose_fan_trips_for_minutes_has_moved() -> None:
+    """Before and after the trip its tags stand as they stood."""
+    n = 4 * 1440
+    trip = np.zeros(n)
+    trip[2000:2028] = 1.0
+    basin = np.full(n, 25.0)
+    basin[2028:] = 21.0
+    rng = np.random.default_rng(85)
+    made = [
+        Instrument(Tag("XA1", "0/1", "fan_fault", 1, 60.0), trip, 0.0, 1.0, 0.5, "mcc"),
+        Instrument(Tag("T1BAS", "degC", "basin_temperature", 1, 120.0), basin, 0.05, 0.01, 0.12, "plc1"),
+        Instrument(Tag("T2BAS", "degC", "basin_temperature", 2, 120.0), basin, 0.05, 0.01, 0.12, "plc2"),
+    ]
+    table = panel([archived(one, scanned(one, rng)) for one in made])
+    unusual = unusual_changes(table)
+    at_s = START_S + 2028 * 60.0
+    assert others_moved(table, 1, at_s, unusual)  # of its own cell
+    assert not others_moved(table, 2, at_s, unusual)
+    assert not others_moved(table, 1, at_s + 6 * 3600.0, unusual)

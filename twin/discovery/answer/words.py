@@ -22,6 +22,14 @@ RETUNED = 1.5
 """Ratio of the commissioned twin's error to the re-tuned one's from which the summary gives both."""
 MEGA = 1e6
 """Heat, J, from which it is given in megajoules."""
+_UNKNOWN = {
+    "constant": "by the same amount throughout",
+    "periodic": "again and again",
+    "threshold": "on or off with little between",
+    "history": "in a course that follows no input",
+    "elapsed_time": "more or less of it as time goes on",
+}
+"""Courses of an unknown quantity that follow no column, in words."""
 _DRIVEN = {"threshold": "a temperature that switches it"}
 
 
@@ -115,8 +123,8 @@ def summarise(
         since = u.onset_s if description.get("onset_s") else None
         entered = disturbance_statement(u.where, u.value, u.unit, u.interval90, since, average=True)
         return (
-            f"{beside}Something that no effect of the catalogue explains: {entered}, following "
-            f"{u.driver.replace('_', ' ')}.{spoken(description)} Nothing is adopted."
+            f"{beside}Something that no effect of the catalogue explains: {entered}, "
+            f"{_UNKNOWN.get(u.driver, 'following ' + u.driver.replace('_', ' '))}.{spoken(description)} Nothing is adopted."
         )
     said = ". ".join(e.says for e in effects)
     named = {(e.kind, e.where) for e in effects}

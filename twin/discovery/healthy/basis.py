@@ -59,6 +59,13 @@ class Columns:
         }
         return cls(np.asarray(time_s, dtype=np.float64), inputs, measured, single)
 
+    def part(self, rows: slice) -> Columns:
+        """Return some rows of the record."""
+        members = {name: each[rows] for name, each in self.members.items()}
+        return replace(
+            self, time_s=self.time_s[rows], inputs=self.inputs[rows], measured=self.measured[rows], members=members
+        )
+
 
 @dataclass(frozen=True)
 class CommissionedRecord(Columns):

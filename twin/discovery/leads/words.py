@@ -157,7 +157,9 @@ def _course(description: dict[str, Any]) -> str:
     if driver == "threshold":
         return "it is on or off, with little between"
     if driver in follows and abs(follows[driver]) > FOLLOWS:
-        way = "rises and falls with" if follows[driver] > 0.0 else "falls when more comes of"
+        if driver == "elapsed_time":
+            return f"it {'rises' if follows[driver] > 0.0 else 'falls'} as time goes on"
+        way = "rises and falls with" if follows[driver] > 0.0 else "falls where there is more of"
         return f"it {way} {driver.replace('_', ' ')}"
     return "its course follows no input"
 

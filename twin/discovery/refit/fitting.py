@@ -156,7 +156,12 @@ def fit(score_test: ScoreTest, model: Model, state: Array, moved: Array | None =
     )
     found, slopes, done = minimise(squares, v, rounds)
     v = found.v
-    covariance = np.linalg.pinv(slopes.T @ slopes + precision, rcond=1e-14, hermitian=True)
+    covariance = covariance_of(
+        slopes.T @ slopes + precision,
+        np.maximum(scale, np.abs(v)),
+        (q + k, first_time, first_growth),
+        grid.span_s / 3600.0,
+    )
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     shapes = shapes_at(v)
     onset_sd, size_sd = np.zeros(e), sd[q + k : first_time].copy()
@@ -178,6 +183,25 @@ def fit(score_test: ScoreTest, model: Model, state: Array, moved: Array | None =
     chi = float(found.residual @ found.residual) / max(score_test.count, 1)
     away = float(v[: q + k] @ score_test.prior.precision @ v[: q + k])
     return Fit(fitted, v[: q + k], values, state[:k] + v[q : q + k], found.total, chi, away, found.residual, done)
+
+
+def covariance_of(normal: Array, order: Array, firsts: tuple[int, int, int], span_h: float) -> Array:
+    """Return the covariance (count, count) of a fit from its normal matrix.
+
+    `order` (count,) has the typical sizes, or the sizes where they are larger; `firsts` are the places of the first
+    size, onset and growth. Of what lasts for seconds the record tells the energy alone, and not how strong and how long
+    it was: a direction of which it says nothing is as wide as a size of its own order, an onset anywhere and a factor
+    of e in length.
+    """
+    size, time, growth = firsts
+    weak = np.zeros(len(normal))
+    weak[size:time] = order[size:time] ** -2.0
+    weak[time:growth], weak[growth:] = span_h**-2.0, 1.0
+    whole = normal + np.diag(weak)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    # Of units alike, no direction is so flat that rounding decides.
+    scaled = np.linalg.pinv(whole * np.outer(scale, scale), rcond=1e-15, hermitian=True)
+    return np.asarray(scaled * np.outer(scale, scale))
 
 
 def simulated(

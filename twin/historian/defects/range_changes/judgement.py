@@ -21,6 +21,7 @@ from twin.historian.defects.range_changes.readings import (
     FANS,
     LEAST,
     LEAST_KPA,
+    SMALLEST_WORK,
     WEATHER,
     canonical,
     is_ratio,
@@ -54,7 +55,10 @@ EDGE = 0.5
 
 
 def unusual_changes(table: TagPanel) -> Array:
-    """Return the changes of each tag over the hour about each row, in usual ones (tags, m); NaN where unknown."""
+    """Return the changes of each tag over the hour about each row, in usual ones (tags, m); NaN where unknown.
+
+    That of a state, or of what starts or stops to work within the hour, has no bound.
+    """
     rows = round(HOUR_S / (table.grid_s[1] - table.grid_s[0])) if len(table.grid_s) > 1 else 1
     change = np.full_like(table.values, np.nan)
     if table.values.shape[1] > 2 * rows:
@@ -69,10 +73,23 @@ def unusual_changes(table: TagPanel) -> Array:
             continue
         usual = float(np.nanquantile(change[k], USUAL[0])) / USUAL[1]
         if unit_of(one.tag.unit).dimension == "state":
-            found[k] = np.where(change[k] > 0.0, np.inf, 0.0)
+            found[k] = np.where(_changes_within(table.values[k], rows), np.inf, 0.0)
         else:
             found[k] = change[k] / max(usual, 1e-9)
+            if is_ratio(one):
+                rest = SMALLEST_WORK * float(np.nanquantile(np.abs(table.values[k]), 0.95))
+                works = np.where(np.isfinite(table.values[k]), np.abs(table.values[k]) > rest, np.nan)
+                found[k][_changes_within(works, rows)] = np.inf
     return found
+
+
+def _changes_within(state: Array, rows: int) -> Mask:
+    """Return where a state (m,), NaN where unknown, changes within some rows before or after, also for a moment."""
+    known = np.flatnonzero(np.isfinite(state))
+    leaps = np.zeros(len(state))
+    changed = np.flatnonzero(np.diff(state[known]) != 0.0)
+    leaps[known[changed]] = leaps[known[changed + 1]] = 1.0
+    return np.asarray(np.convolve(leaps, np.ones(2 * rows + 1), mode="same") > 0.5)
 
 
 def others_moved(table: TagPanel, k: int, at_s: float, unusual: Array) -> bool:
@@ -91,17 +108,31 @@ def others_moved(table: TagPanel, k: int, at_s: float, unusual: Array) -> bool:
 
 
 def return_map(table: TagPanel, k: int, at: LeapCandidate, leaps: Sequence[Leap]) -> tuple[float, float] | None:
-    """Return factor and constant of a leap that goes back by what the leaps of the tag before it have left, so that it
-    ends their span; None for another leap."""
-    x, at_s = canonical(table.series[k]), float(table.series[k].time_s[at.row])
+    """Return factor and constant of a leap that takes back others of its tag; None for another leap.
+
+    It goes back by what the leaps before it have left, so that it ends their span, or by a later one, so that it begins
+    the span which that one ends.
+    """
+    at_s = float(table.series[k].time_s[at.row])
+    others = [total_map(leaps, at_s), *((one.factor, one.constant) for one in leaps if one.before_s > at_s)]
+    return next((back for one in others if (back := _taken_back(table.series[k], at, *one)) is not None), None)
+
+
+def total_map(leaps: Sequence[Leap], at_s: float) -> tuple[float, float]:
+    """Return factor and constant of all leaps of a tag before a time together."""
     factor, constant = 1.0, 0.0
     for leap in (one for one in leaps if one.after_s <= at_s):
         factor, constant = factor * leap.factor, constant * leap.factor + leap.constant
+    return factor, constant
+
+
+def _taken_back(series: Series, at: LeapCandidate, factor: float, constant: float) -> tuple[float, float] | None:
+    """Return the map that takes back another one, if a leap goes by about as much; else None."""
     if np.isclose(factor, 1.0) and np.isclose(constant, 0.0, atol=1e-6):
         return None
     inverse = 1.0 / factor, -constant / factor
     # The table holds the readings mapped already: a return leaves them short by the same map.
-    before, after = at.sides(x)
+    before, after = at.sides(canonical(series))
     if constant == 0.0:
         wanted, seen = -float(np.log(factor)), float(np.log(after / before)) if min(before, after) > 0.0 else np.inf
     else:
@@ -128,7 +159,14 @@ def _witnesses(table: TagPanel, k: int, rows: slice) -> Array:
 
 
 def judged_leap(
-    table: TagPanel, k: int, at: LeapCandidate, back: tuple[float, float] | None, rest: float | None, *, alone: bool
+    table: TagPanel,
+    k: int,
+    at: LeapCandidate,
+    before: Sequence[Leap],
+    back: tuple[float, float] | None,
+    rest: float | None,
+    *,
+    alone: bool,
 ) -> Leap | None:
     """Return a leap of a tag with its map, or None if the other tags do not bear it out.
 
@@ -137,6 +175,9 @@ def judged_leap(
 
     Parameters
     ----------
+    before
+        Leaps of the tag that were found before. Readings that go with the other tags as well without their maps as with
+        any other have come back, however far this leap goes: what a sensor read while it was off is no measure.
     back
         Map of a return, which is tried before any other.
     rest
@@ -144,8 +185,12 @@ def judged_leap(
     alone
         No other tag moved then. Else the evidence must be decisive.
     """
+    factor, constant = total_map(before, float(table.series[k].time_s[at.row]))
+    home = None if (factor, constant) == (1.0, 0.0) else (1.0 / factor, -constant / factor)
     found = [
-        one for last_s in AFTER_S if (one := _judged_over(table, k, at, back, rest, last_s, alone=alone)) is not None
+        one
+        for last_s in AFTER_S
+        if (one := _judged_over(table, k, at, (back, home), rest, last_s, alone=alone)) is not None
     ]
     least = min((one.doubt for one in found), default=0.0)
     return next((one for one in found if one.doubt <= SURER * least), None)
@@ -155,14 +200,17 @@ def _judged_over(
     table: TagPanel,
     k: int,
     at: LeapCandidate,
-    back: tuple[float, float] | None,
+    returns: tuple[tuple[float, float] | None, tuple[float, float] | None],
     rest: float | None,
     last_s: float,
     *,
     alone: bool,
 ) -> Leap | None:
-    """Return a leap with its map by the readings up to `last_s` after it, or None."""
-    series, grid = table.series[k], table.grid_s
+    """Return a leap with its map by the readings up to `last_s` after it, or None.
+
+    `returns` are maps of a return: one that goes as far as the leap, and that of all leaps before it.
+    """
+    (back, home), series, grid = returns, table.series[k], table.grid_s
     before_s, after_s = float(series.time_s[at.row]), float(series.time_s[at.after])
     low, high = np.searchsorted(grid, (before_s - BEFORE_S, after_s + last_s)).tolist()
     rows = slice(low, high)
@@ -192,6 +240,10 @@ def _judged_over(
         return None
     if not _large(series, at, fit) or not (at.hidden or _at_the_edge(series, at, fit)):
         return None
+    if home is not None:
+        there = fit_with_map(x, after, predict, *home)
+        if there.error <= CLEARLY * fit.error and there.is_borne_out(x - plain, after, alone=True):
+            return Leap(before_s, after_s, *home, there.doubt(after), at.hidden)
     as_the_law = by_law is not None and fit.constant == 0.0 and abs(float(np.log(by_law / fit.factor))) < LAW_APART
     if at.hidden and by_law is not None and not as_the_law:
         return None

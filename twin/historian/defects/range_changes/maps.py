@@ -60,6 +60,9 @@ class ScaleFit:
     def is_borne_out(self, plain: Array, after: Mask, *, alone: bool) -> bool:
         """Return whether the other tags go with the mapped readings on both sides, and cannot explain them unmapped.
 
+        They do not where the mapped readings are decisively nearer to their prediction on both sides, or where the leap
+        is a large share of what they leave.
+
         Parameters
         ----------
         plain
@@ -76,7 +79,9 @@ class ScaleFit:
             return False
         if any(float(np.median(np.abs(self.residual[part]))) > CLEAR * size for part in parts):
             return False
-        nearer = (np.abs(plain[part]).mean() / max(np.abs(self.residual[part]).mean(), 1e-9) for part in parts)
+        nearer = [np.abs(plain[part]).mean() / max(np.abs(self.residual[part]).mean(), 1e-9) for part in parts]
+        if min(nearer) >= DECISIVE:
+            return True  # however much of the leap some twenty tags explain by chance
         if not alone and max(nearer) < DECISIVE:
             return False
         gained = float(np.abs(plain[known]).sum() - np.abs(self.residual[known]).sum())

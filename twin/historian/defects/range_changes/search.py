@@ -107,7 +107,7 @@ def _borne_out(table: TagPanel, k: int, before: Sequence[Leap], unusual: Array) 
             continue
         back = return_map(table, k, at, before)
         alone = not at.hidden and not others_moved(table, k, float(table.series[k].time_s[at.after]), unusual)
-        leap = judged_leap(table, k, at, back, rest, alone=alone or back is not None)
+        leap = judged_leap(table, k, at, before, back, rest, alone=alone or back is not None)
         if leap is not None:
             found.append(leap)
     return found
