@@ -122,9 +122,10 @@ def summarise(
             return f"{beside}{u.says}.{spoken(description)} No known effect explains it, so nothing is adopted."
         since = u.onset_s if description.get("onset_s") else None
         entered = disturbance_statement(u.where, u.value, u.unit, u.interval90, since, average=True)
+        course = _UNKNOWN.get(u.driver, "following " + u.driver.replace("_", " "))
         return (
-            f"{beside}Something that no effect of the catalogue explains: {entered}, "
-            f"{_UNKNOWN.get(u.driver, 'following ' + u.driver.replace('_', ' '))}.{spoken(description)} Nothing is adopted."
+            f"{beside}Something that no effect of the catalogue explains: {entered}, {course}.{spoken(description)} "
+            "Nothing is adopted."
         )
     said = ". ".join(e.says for e in effects)
     named = {(e.kind, e.where) for e in effects}
