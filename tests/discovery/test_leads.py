@@ -211,7 +211,7 @@ def test_place_sign_and_course_are_told_in_the_words_of_tracking() -> None:
     assert (lead.kind, lead.where, lead.unit) == ("place", "tank", "W")
     assert lead.says == (
         "tank takes up 44 W on average (32 to 57) that the twin does not model, from 2 h 00 min on; "
-        "it falls when more comes of fan speed"
+        "it falls where there is more of fan speed"
     )
     assert place_leads((), description, 0.0) == ()
 

@@ -11,10 +11,11 @@ from tests.discovery.conftest import HOUR, Bench
 from twin.discovery import engine
 from twin.discovery.answer.assessed_finding import AssessedFinding
 from twin.discovery.answer.verdict import conclude
-from twin.discovery.diagnosis import Diagnosis, SensorError
+from twin.discovery.diagnosis import Course, Diagnosis, SensorError
 from twin.discovery.engine import diagnose
 from twin.discovery.evidence.held_out import contradicted
 from twin.discovery.healthy.basis import Columns
+from twin.discovery.places.localise import describe
 from twin.kernel import Kernel
 
 
@@ -182,3 +183,25 @@ def test_a_radiator_is_named_before_the_rooms_thermometer_where_nothing_known_fi
     assert found.verdict == "ambiguous" and found.effects[0].where == "radiator"
     assert {a.where for a in found.indistinguishable} <= {"radiator", "fan_speed", "T_ambient_C"}
     assert found.description["there"]["sensor"] == "T_ambient_C"
+
+
+def _unknown(mean: np.ndarray) -> Course:
+    n = len(mean)
+    return Course("tank", "K", np.arange(n) / 10.0, mean, np.full(n, 0.02), 900.0, "sensor", "T_tank_C")
+
+
+def test_what_comes_and_goes_begins_with_its_first_time() -> None:
+    """A loose contact of a minute in every forty is no less there before its worst hours."""
+    rng = np.random.default_rng(12)
+    mean = 0.005 * rng.normal(size=140)
+    mean[40::7] -= 1.0
+    mean[120::7] -= 1.5
+    told = describe(_unknown(mean), {}, 0.1)
+    low, high = told["onset_interval_s"]
+    assert low <= 40 * 360.0 <= high
+    assert told["onset_s"] == pytest.approx(40 * 360.0, abs=7 * 360.0)
+
+
+def test_what_varies_alike_throughout_has_no_onset() -> None:
+    told = describe(_unknown(np.sin(np.arange(140) / 3.0)), {}, 0.1)
+    assert told["onset_s"] == 0.0 and told["onset_interval_s"] == [0.0, 0.0]

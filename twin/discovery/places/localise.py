@@ -20,6 +20,9 @@ from twin.network import Array
 WALK_PER_BLOCK = (0.03, 0.1, 0.3, 1.0, 3.0)
 """Step of the walk from block to block, in typical sizes of the site, that are tried."""
 
+ONSET = 4.0
+"""Ratio of the mean squares after and before an onset, at least: twice the amplitude."""
+
 
 def courses(score_test: ScoreTest, sites: dict[str, Site], begins: float) -> tuple[Course, ...]:
     """Return the posterior courses of an unknown quantity at each site, the likeliest first.
@@ -87,8 +90,10 @@ def describe(course: Course, drivers: dict[str, Array], step_h: float) -> dict[s
     mean, sd = course.mean, course.sd
     significant = np.abs(mean) > 2.0 * sd
     out: dict[str, Any] = {"site": course.site, "unit": course.unit, "present_share": float(significant.mean())}
-    onset = _onset(mean)
+    onset, first, last = _onset(mean, sd)
     out["onset_s"] = float(course.hours[onset] * 3600.0)
+    within_h = step_h if onset else 0.0
+    out["onset_interval_s"] = [float(course.hours[first] * 3600.0), float((course.hours[last] + within_h) * 3600.0)]
     after = mean[onset:]
     out["mean"] = float(after.mean())
     out["mean_sd"] = float(np.sqrt(np.mean(sd[onset:] ** 2)))
@@ -119,19 +124,36 @@ def describe(course: Course, drivers: dict[str, Array], step_h: float) -> dict[s
 
 def acts_all_along(course: Course) -> bool:
     """Return True if a course has no onset."""
-    return _onset(course.mean) == 0
+    return _onset(course.mean, course.sd)[0] == 0
 
 
-def _onset(mean: Array) -> int:
-    """Return the first block of the second of two segments that differ most in mean square."""
+def _onset(mean: Array, sd: Array) -> tuple[int, int, int]:
+    """Return the median first block of an unknown quantity, and the 90 % interval of it; 0 for one without onset.
+
+    Its squares, the mean's and the variance's, are those of a smaller variance before and of a larger one after: one
+    that comes and goes begins with its first time (change of a variance, Inclan and Tiao, J. Am. Stat. Assoc. 89 (1994)
+    913). What is not twice as large after it as before has no onset.
+    """
     n = len(mean)
-    squares = np.cumsum(mean**2)
     at = np.arange(1, n - 1)
-    left, right = squares[at - 1] / at, (squares[-1] - squares[at - 1]) / (n - at)
-    gain = np.where(right > left, (right - left) * np.sqrt(at * (n - at)) / n, 0.0)
-    if not len(at) or right[int(np.argmax(gain))] < 4.0 * left[int(np.argmax(gain))]:
-        return 0
-    return int(at[int(np.argmax(gain))])
+    if not len(at):
+        return 0, 0, 0
+    left, right = _halves(mean**2 + sd**2)
+    small, large = _halves(mean**2)
+    likelihood = -0.5 * (at * np.log(np.maximum(left, 1e-300)) + (n - at) * np.log(np.maximum(right, 1e-300)))
+    likelihood = np.where((right > left) & (large >= ONSET * small), likelihood, -np.inf)
+    without = -0.5 * n * np.log(max(float(np.mean(mean**2 + sd**2)), 1e-300))
+    if likelihood.max() < without + np.log(n):
+        return 0, 0, 0  # no likelier than chance makes the best of so many
+    chance = np.cumsum(np.exp(likelihood - likelihood.max()))
+    first, middle, last = (int(at[i]) for i in np.searchsorted(chance, np.array([0.05, 0.5, 0.95]) * chance[-1]))
+    return middle, first, last
+
+
+def _halves(squares: Array) -> tuple[Array, Array]:
+    """Return the means of squares (n,) before and from each of the blocks 1 to n - 2 on."""
+    total, at = np.cumsum(squares), np.arange(1, len(squares) - 1)
+    return total[at - 1] / at, (total[-1] - total[at - 1]) / (len(squares) - at)
 
 
 def _period(values: Array, step_h: float) -> tuple[float, float]:

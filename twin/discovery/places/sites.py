@@ -152,6 +152,7 @@ def unknown(found: tuple[Course, ...], description: dict[str, Any], start: float
         return ()
     best = found[0]
     low, high = description["range"]
+    first_s, last_s = description["onset_interval_s"]
     second = found[1].log_evidence if len(found) > 1 else best.log_evidence - 100.0
     return (
         Effect(
@@ -163,7 +164,7 @@ def unknown(found: tuple[Course, ...], description: dict[str, Any], start: float
             unit=best.unit,
             interval90=(float(low), float(high)),
             onset_s=start + float(description["onset_s"]),
-            onset_interval90_s=(start + float(description["onset_s"]),) * 2,
+            onset_interval90_s=(start + float(first_s), start + float(last_s)),
             shape="unknown",
             confidence=float(1.0 / (1.0 + math.exp(min(max(second - best.log_evidence, -50.0), 50.0) / 10.0))),
             z=float(np.sqrt(max(best.log_evidence, 0.0) * 2.0)),
