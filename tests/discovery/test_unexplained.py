@@ -205,3 +205,26 @@ def test_what_comes_and_goes_begins_with_its_first_time() -> None:
 def test_what_varies_alike_throughout_has_no_onset() -> None:
     told = describe(_unknown(np.sin(np.arange(140) / 3.0)), {}, 0.1)
     assert told["onset_s"] == 0.0 and told["onset_interval_s"] == [0.0, 0.0]
+
+
+def test_a_valve_that_opens_as_nothing_recorded_does_is_no_sure_error_of_a_thermometer(
+    brisk: Bench, brisk_healthy: Columns
+) -> None:
+    """Water passes the radiator by another share in each quarter of an hour: flow, or at most not told from a reading."""
+    rng = np.random.default_rng(31)
+    t, u = brisk.inputs(16.0, 1)
+    edges = np.append(np.searchsorted(t, np.arange(5.0 * HOUR, 16.0 * HOUR, 0.5 * HOUR)), len(t) - 1)
+    parts, state, begun = [], np.array([37.0, 36.8, 34.5, 34.0]), 0
+    for k, last in enumerate(edges.tolist()):
+        share = float(rng.uniform(0.0, 0.5)) if k else 0.0
+        table = {"kind": "bypass", "around": ["radiator"], "fraction": share}
+        network = brisk.with_element("valve", table) if k else brisk.network
+        read, ends = Kernel(network, ()).trace(network.values, state, t[begun : last + 1], u[begun : last + 1])
+        parts.append(read[0][: last - begun])
+        state, begun = ends[0][: len(network.nodes)], last
+    y = np.vstack(parts)
+    noise = brisk.network.sigma * np.random.default_rng(9).normal(0.0, 1.0, y.shape)
+    found = diagnose(brisk.network, Columns(t[: len(y)], u[: len(y)], y + noise), brisk_healthy)
+    told = {(e.kind, e.where) for e in found.effects} | {(a.kind, a.where) for a in found.indistinguishable}
+    assert ("flow", "radiator") in told or found.verdict == "unexplained"
+    assert found.verdict != "effect found" or {(e.kind, e.where) for e in found.effects} == {("flow", "radiator")}

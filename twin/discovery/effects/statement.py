@@ -8,6 +8,8 @@ WHOLE = 9.5
 """Power, W, from which it is given in whole watts; a smaller one has two digits."""
 KILO = 10_000.0
 """Power, W, from which it is given in kilowatts."""
+PASSING = "of the flow"
+"""Unit of what passes a place, which is a share of its flow."""
 
 
 def disturbance_statement(
@@ -47,6 +49,8 @@ def disturbance_statement(
         text = f"{where} {verb} {size} that the twin does not model"
     elif unit == "K":
         text = f"{where} {agreeing(where, 'reads')} too {'low' if value < 0.0 else 'high'} by {size}"
+    elif unit == PASSING and value > 0.0:
+        text = f"{where} {agreeing(where, 'is')} passed by {size}"
     else:
         change = f"{size} {'less' if value < 0.0 else 'more'}"
         text = f"{where.replace('_', ' ')} {agreeing(where, 'has')} {change} than the twin models"

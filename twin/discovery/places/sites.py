@@ -31,7 +31,9 @@ SPOKEN = {
 TYPICAL_W, TYPICAL_K = 20.0, 0.2
 ROOM = 0.95
 """Share of its evidence that an error of the room's thermometer has. It imitates nearly all unlisted errors of a
-radiator, and is rarer."""
+radiator, and is rarer; so does a flow that passes a place of an error of its thermometer."""
+PAST = "flow past "
+"""Beginning of the name of a flow that passes a place, as by a valve that opens and shuts."""
 _DRIVERS = {"heater_power_W": "heater_power", "pump_speed_pct": "pump_speed", "fan_speed_pct": "fan_speed"}
 
 
@@ -76,14 +78,17 @@ def sites_of(network: Network, score_test: ScoreTest, laws: Sequence[CandidateLa
         kind: tuple[str, Signature] | None = None
         if circuit_of(network, c):
             kind = ("flow" if c.where == "loop" else c.where, "transport")
+        elif c.kind == "flow" and c.where in network.nodes:
+            kind = (PAST + c.where, "transport")
         elif c.kind == "heat_rejection" and c.change == "existing":
             kind = ("rejection", "energy")
         elif c.kind == "sensor" and c.where in network.input_columns:
             kind = (c.where, "sensor")
         if kind is not None and kind[0] not in out:
-            counts = ROOM if kind[1] == "sensor" else 1.0
+            counts = ROOM if kind[1] == "sensor" or kind[0].startswith(PAST) else 1.0
             # The linear estimate of a large change of the flow overshoots: readings go with its inverse.
-            vector, holds = score_test.vector(law), anything if kind[1] == "transport" else (c.lower, c.upper)
+            vector, of_loop = score_test.vector(law), kind[1] == "transport" and c.change != "new"
+            holds = anything if of_loop else (c.lower, c.upper)
             present = _present(network, c) if kind[1] != "sensor" else 0.0
             out[kind[0]] = Site(vector, c.typical, c.unit, kind[1], c.kind, c.where, counts, holds, present)
     return out
@@ -94,7 +99,7 @@ def _present(network: Network, candidate: Candidate) -> float:
     if len(candidate.changes) != 1:
         return 0.0
     ((name, weight),) = candidate.changes.items()
-    return abs(network.parameters[name].value / weight)
+    return abs(network.parameters[name].value / weight) if name in network.parameters else 0.0
 
 
 def heaters_of(network: Network, score_test: ScoreTest, laws: Sequence[CandidateLaw]) -> dict[str, Site]:
