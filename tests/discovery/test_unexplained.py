@@ -210,7 +210,7 @@ def test_what_varies_alike_throughout_has_no_onset() -> None:
 def test_a_valve_that_opens_as_nothing_recorded_does_is_no_sure_error_of_a_thermometer(
     brisk: Bench, brisk_healthy: Columns
 ) -> None:
-    """Water passes the radiator by another share in each quarter of an hour: flow, or at most not told from a reading."""
+    """Water passes the radiator by another share in each quarter of an hour."""
     rng = np.random.default_rng(31)
     t, u = brisk.inputs(16.0, 1)
     edges = np.append(np.searchsorted(t, np.arange(5.0 * HOUR, 16.0 * HOUR, 0.5 * HOUR)), len(t) - 1)
