@@ -110,7 +110,8 @@ class FitData:
 
         A descent finds the neighbourhood of its minimum from them at a fraction of the cost.
         """
-        every = int(step_s / np.median(np.diff(self.time)) + 1e-9) if len(self.time) > 1 else 1
+        period_s = float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
+        every = int(step_s / period_s + 1e-9) if period_s > 0.0 else 1
         if every < 2:
             return self
         kept, begins = [], [0]

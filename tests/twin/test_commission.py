@@ -236,3 +236,5 @@ def test_a_descent_from_few_samples_sees_the_same_heat_weight_and_restarts(loop:
     assert (few.inputs * lengths).sum(axis=0) == pytest.approx((u * np.diff(t, append=t[-1])[:, None]).sum(axis=0))
     assert (few.weight**2).sum() == pytest.approx((weight**2).sum(), rel=0.01)
     assert full.thinned(1.9) is full
+    twice = FitData(np.repeat(t, 3), np.repeat(u, 3, 0), np.repeat(y, 3, 0), np.repeat(weight, 3, 0))
+    assert twice.thinned(10.0) is twice  # a store that keeps each sample three times tells no period
