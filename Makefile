@@ -48,7 +48,7 @@ demo-tower: $(STAMP)
 # Four workers on two cores: many tests wait for clocks. A file's fixtures (a rig, a run) are made once, and the files
 # that take longest come first (tests/durations.txt, which `make test PYTEST=--write-durations` measures anew).
 # The tests start hundreds of processes, so the sources are compiled to bytecode once before, also where the
-# environment forbids Python to write it; the tests themselves are by the collection of `make check`.
+# environment forbids Python to write it. `make check`, which collects the tests, leaves their bytecode as well.
 XDIST := --dist loadfile --no-loadscope-reorder
 test test-fast check: export PYTHONDONTWRITEBYTECODE :=
 test: $(STAMP)

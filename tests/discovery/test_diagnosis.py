@@ -263,6 +263,18 @@ def test_a_rig_that_starts_from_rest_gives_no_alarm(
     assert any(words in note for note in found.notes)
 
 
+def test_a_diagnosis_begins_and_ends_where_the_inputs_are_known_and_says_so(
+    brisk: Bench, brisk_healthy: Columns
+) -> None:
+    record = brisk.record(14.0)
+    inputs = record.inputs.copy()
+    inputs[record.time_s < 900.0, :3] = inputs[record.time_s > 12.8 * HOUR, :3] = np.nan
+    found = diagnose(brisk.network, replace(record, inputs=inputs), brisk_healthy)
+    assert found.verdict == "adequate" and found.held_out_s[1] <= 12.8 * HOUR
+    assert "the inputs are unknown before 15 min: the diagnosis begins there" in found.notes
+    assert "the inputs are unknown after 1 h 36 min: the diagnosis ends there" in found.notes
+
+
 def test_without_a_healthy_record_a_large_effect_is_still_found_and_the_warning_given(brisk: Bench) -> None:
     record = brisk.record(changed=brisk.with_values(modules_power__power=150.0), onset_h=5.0)
     found = diagnose(brisk.network, record)

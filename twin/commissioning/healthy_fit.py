@@ -162,9 +162,9 @@ def commission(
 
     Notes
     -----
-    Bounded Gauss-Newton descents (`twin.gauss_newton`) from several starts, with samples 10 s apart or as far as the
-    record's; the best goes on with all samples. The prior of the last descent is as strong
-    against the data as the residuals are far from white (`variance_inflation`).
+    Bounded Gauss-Newton descents (`twin.gauss_newton`) from several starts, on samples `THINNED_S` apart; the best goes
+    on with all samples. The prior of the last descent is as strong against the data as the residuals are far from white
+    (`variance_inflation`).
     """
     tunables, held_out, initial_sd = options.tunables, options.held_out, options.initial_sd
     if tunables == "commission" and "commission" not in network.sets:

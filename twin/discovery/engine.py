@@ -12,6 +12,7 @@ from twin.discovery.answer.leads import with_leads
 from twin.discovery.answer.own_course import claimed
 from twin.discovery.answer.verdict import conclude
 from twin.discovery.diagnosis import Diagnosis
+from twin.discovery.effects.phrases import clock
 from twin.discovery.evidence.commissioned import (
     as_commissioned,
     as_healthy_elsewhere,
@@ -39,7 +40,7 @@ from twin.discovery.thermometers.faulty_thermometers import (
 )
 from twin.discovery.thermometers.members import Members, members
 from twin.network import Array, Network, TwinFileError, mean_of_sensors
-from twin.segments import CLOCK_PREFIX, Segments, find_segments
+from twin.segments import CLOCK_PREFIX, LONG_GAP_S, Segments, find_segments
 from twin.steady import steady_state
 
 HELD_OUT = 0.25
@@ -97,7 +98,7 @@ def _isolated(
     gaps = find_segments(network, record.time_s, record.inputs)
     record, stood = _moving(network, record, healthy)
     # Before its inputs are known the twin cannot begin, and after that it cannot go on.
-    rows = slice(*find_segments(network, record.time_s, record.inputs).known)
+    given_s, rows = given.time_s, slice(*find_segments(network, record.time_s, record.inputs).known)
     given, record = given.part(rows), record.part(rows)
     record, still = _without_stuck(network, record)
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
@@ -118,7 +119,7 @@ def _isolated(
     split_search, answer = SplitSearch.of(network, record, known, grid, say).settled(held_out)
     known, whole = split_search.known, split_search.whole
     finding, split = answer.finding, answer.split
-    notes = [*unread, *_said(known, gaps, stood), *answer.notes]
+    notes = [*unread, *_said(known, gaps, stood), *_without_inputs(gaps, given_s), *answer.notes]
     answers = [e.candidate for r in finding.ranked for e in r.entries]
     whole.know(answers)
     further: list[Part] = []
@@ -183,6 +184,17 @@ def _said(known: Basis, *others: Segments | Standstill | None) -> list[str]:
     """Return the notes about a healthy record and about a record's gaps and standstills."""
     said = (known, known.structure, known.missing, known.bootstrap, *others)
     return [told.sentence for told in said if told is not None and told.sentence]
+
+
+def _without_inputs(gaps: Segments, time_s: Array) -> list[str]:
+    """Return notes about the beginning and the end of a record, times (N,) s, where its inputs are unknown for long."""
+    first_s, last_s = time_s[slice(*gaps.known)][[0, -1]]
+    notes = []
+    if first_s - time_s[0] > LONG_GAP_S:
+        notes.append(f"the inputs are unknown before {clock(first_s)}: the diagnosis begins there")
+    if time_s[-1] - last_s > LONG_GAP_S:
+        notes.append(f"the inputs are unknown after {clock(last_s)}: the diagnosis ends there")
+    return notes
 
 
 def _hidden(whole: Part, known: Basis) -> list[str]:

@@ -27,7 +27,7 @@ _UNKNOWN = {
     "periodic": "again and again",
     "threshold": "on or off with little between",
     "history": "in a course that follows no input",
-    "elapsed_time": "more or less of it as time goes on",
+    "elapsed_time": "by an amount that changes as time goes on",
 }
 """Courses of an unknown quantity that follow no column, in words."""
 _DRIVEN = {"threshold": "a temperature that switches it"}

@@ -29,11 +29,9 @@ SPOKEN = {
     "sensor": "a reading in error",
 }
 TYPICAL_W, TYPICAL_K = 20.0, 0.2
-ROOM = 0.95
-"""Share of its evidence that an error of the room's thermometer has. It imitates nearly all unlisted errors of a
-radiator, and is rarer; so does a flow that passes a place of an error of its thermometer."""
-PAST = "flow past "
-"""Beginning of the name of a flow that passes a place, as by a valve that opens and shuts."""
+RARER = 0.95
+"""Share of its evidence that counts of an error of the room's thermometer, which imitates nearly all unlisted errors of
+a radiator, and of a flow that passes a place, which imitates those of its thermometer: both are rarer."""
 _DRIVERS = {"heater_power_W": "heater_power", "pump_speed_pct": "pump_speed", "fan_speed_pct": "fan_speed"}
 
 
@@ -75,21 +73,21 @@ def sites_of(network: Network, score_test: ScoreTest, laws: Sequence[CandidateLa
         c = law.candidate
         if c.driver != "constant":
             continue
+        circuit, passes = circuit_of(network, c), c.kind == "flow" and c.where in network.nodes
         kind: tuple[str, Signature] | None = None
-        if circuit_of(network, c):
+        if circuit:
             kind = ("flow" if c.where == "loop" else c.where, "transport")
-        elif c.kind == "flow" and c.where in network.nodes:
-            kind = (PAST + c.where, "transport")
+        elif passes:
+            kind = (f"flow past {c.where}", "transport")
         elif c.kind == "heat_rejection" and c.change == "existing":
             kind = ("rejection", "energy")
         elif c.kind == "sensor" and c.where in network.input_columns:
             kind = (c.where, "sensor")
         if kind is not None and kind[0] not in out:
-            counts = ROOM if kind[1] == "sensor" or kind[0].startswith(PAST) else 1.0
-            # The linear estimate of a large change of the flow overshoots: readings go with its inverse.
-            vector, of_loop = score_test.vector(law), kind[1] == "transport" and c.change != "new"
-            holds = anything if of_loop else (c.lower, c.upper)
-            present = _present(network, c) if kind[1] != "sensor" else 0.0
+            counts = RARER if kind[1] == "sensor" or passes else 1.0
+            # The linear estimate of a large change of a circuit's flow overshoots: readings go with its inverse.
+            vector, holds = score_test.vector(law), anything if circuit else (c.lower, c.upper)
+            present = 0.0 if kind[1] == "sensor" or c.change == "new" else _present(network, c)
             out[kind[0]] = Site(vector, c.typical, c.unit, kind[1], c.kind, c.where, counts, holds, present)
     return out
 
@@ -99,7 +97,7 @@ def _present(network: Network, candidate: Candidate) -> float:
     if len(candidate.changes) != 1:
         return 0.0
     ((name, weight),) = candidate.changes.items()
-    return abs(network.parameters[name].value / weight) if name in network.parameters else 0.0
+    return abs(network.parameters[name].value / weight)
 
 
 def heaters_of(network: Network, score_test: ScoreTest, laws: Sequence[CandidateLaw]) -> dict[str, Site]:
