@@ -14,7 +14,7 @@ from twin.historian.tags import Array, Series
 FEWEST = 20
 """Samples of a tag below which they are strays."""
 SILENT_DAYS = 3.0
-DAY_S = 86400.0
+HOUR_S, DAY_S, YEAR_S = 3600.0, 86400.0, 365.25 * 86400.0
 OF_CELL = (
     ("water_inlet_temperature",),
     ("water_outlet_temperature",),
@@ -217,9 +217,14 @@ def _falls(series: Series, local: bool) -> NDArray[np.intp]:
     """
     rows = np.flatnonzero(np.isfinite(series.value))
     step = np.diff(series.time_s[rows])
-    return np.asarray(rows[:-1][(step < 0.0) & ~(local & _hour(-step))], dtype=np.intp)
+    back = step < 0.0
+    if local:
+        # A tag that stood about the change falls by less than half an hour; it does so once a year.
+        years = np.ceil(float(np.ptp(series.time_s)) / YEAR_S) if len(rows) else 0.0
+        back &= ~_hour(-step) & ~((step >= -HOUR_S) & (back.sum() <= years))
+    return np.asarray(rows[:-1][back], dtype=np.intp)
 
 
 def _hour(fall_s: Array) -> NDArray[np.bool_]:
     """Return which falls are of the hour of a clock change, less the interval of the samples."""
-    return np.asarray((fall_s >= 1800.0) & (fall_s <= 3600.0))
+    return np.asarray((fall_s >= 1800.0) & (fall_s <= HOUR_S))

@@ -178,3 +178,30 @@ def test_one_tag_in_local_time_among_others_is_found_by_its_stored_order() -> No
     series[4] = _around(AUTUMN_S, local=True)[0][4]
     found = _by_change(series)
     assert found.local == {"X4"} and found.fixed == {"X0", "X1", "X2"}
+
+
+@pytest.mark.parametrize("disordered", [False, True])
+def test_a_tag_that_stood_about_the_change_falls_back_by_minutes(disordered: bool) -> None:
+    """By exception it has few samples in the hour that comes twice."""
+    true = AUTUMN_S + 1800.0 * np.arange(-100, 100) + 300.0
+    true = np.append(true[true < AUTUMN_S - 1800.0], true[true > AUTUMN_S + 2400.0])
+    stamp = _local(true, change_s=AUTUMN_S, before_h=-5.0, after_h=-6.0)
+    assert -1800.0 < np.diff(stamp).min() < 0.0
+    if disordered:
+        stamp[10:150:20] += 3600.0
+    tag = Tag("X0", "%", "other", 1, 1800.0)
+    one = Series(tag, stamp, np.arange(len(true), dtype=float), np.full(len(true), 192, dtype=np.int16))
+    found = local_by_change([one], [Group(("X0",))], ZONE)
+    assert ("X0" in found.local) is not disordered
+    if not disordered:
+        np.testing.assert_allclose(corrected(one, Shift(ZONE)).time_s, true)
+
+
+def test_a_tag_whose_clock_is_known_is_not_moved_with_the_others_of_its_interface() -> None:
+    station = _station(np.random.default_rng(11))
+    known = station["mcc"][0]
+    station["mcc"] = [known, *_moved(station["mcc"][1:], -5.0)]
+    groups = [Group(tuple(one.tag.name for one in members)) for members in station.values()]
+    every = [one for members in station.values() for one in members]
+    found = shifted_clocks(every, groups, ZONE, frozenset({known.tag.name})).found
+    assert [(defect.kind, defect.tags) for defect, _ in found] == [("local_time", ("mcc1", "mcc2", "mcc3"))]

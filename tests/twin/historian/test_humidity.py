@@ -66,3 +66,43 @@ def test_a_fault_that_lasts_for_most_of_a_record_is_not_taken_as_usual() -> None
     assert {one.tags for one in found} == {("TDB",)}
     assert abs(min(one.start_s for one in found) - START_S - 4.0 * DAY_S) < 3 * 3600.0
     assert max(one.end_s for one in found) > START_S + 15.5 * DAY_S
+
+
+def test_a_wet_bulb_above_a_dry_bulb_of_another_range_is_impossible() -> None:
+    rng = np.random.default_rng(73)
+    plant = instruments(rng, 16.0)
+    store = []
+    for one in plant:
+        time_s, value = scanned(one, rng)
+        day = (time_s - START_S) / DAY_S
+        if one.tag.name == "TDB":
+            value = np.where((day >= 5.0) & (day <= 8.0), value - 4.4, value)
+        if one.tag.name == "TWB":
+            dry = next(other.truth for other in plant if other.tag.name == "TDB")
+            above = np.interp(time_s, START_S + 60.0 * np.arange(len(dry)), dry) + 1.0
+            value = np.where((day >= 6.0) & (day <= 6.5), above, value)
+        store.append(archived(one, (time_s, value)))
+    found = find_and_repair(store, timezone=ZONE, pressure_kPa=95.0).defects
+    assert sorted((one.kind, one.tags) for one in found) == [
+        ("impossible_wet_bulb", ("TWB",)),
+        ("range_change", ("TDB",)),
+    ]
+
+
+def test_a_humidity_that_latches_where_fog_is_usual_is_found() -> None:
+    rng = np.random.default_rng(74)
+    store = []
+    for one in instruments(rng, 16.0):
+        time_s, value = scanned(one, rng)
+        day = (time_s - START_S) / DAY_S
+        fog = (day % 4.0 > 1.0) & (day % 4.0 < 1.45)
+        if "humidity" in one.tag.role:
+            value = np.where(fog, 100.0, value)
+        if one.tag.name == "RHA":
+            value = np.where((day >= 6.0) & (day <= 7.4), 100.0, value)
+        if one.tag.name == "TWB":
+            dry = next(other.truth for other in instruments(np.random.default_rng(74), 16.0) if other.tag.name == "TDB")
+            value = np.where(fog, np.interp(time_s, START_S + 60.0 * np.arange(len(dry)), dry), value)
+        store.append(archived(one, (time_s, value)))
+    found = find_and_repair(store, timezone=ZONE, pressure_kPa=95.0).defects
+    assert [(one.kind, one.tags) for one in found] == [("humidity_latched", ("RHA",))]

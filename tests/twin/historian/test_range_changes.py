@@ -11,7 +11,7 @@ from tests.twin.historian.made_station import START_S, ZONE, Instrument, archive
 from twin.historian.defects import find_and_repair
 from twin.historian.defects.panel import panel
 from twin.historian.defects.range_changes import range_changes
-from twin.historian.defects.range_changes.candidates import LeapCandidate
+from twin.historian.defects.range_changes.candidates import LeapCandidate, leap_candidates
 from twin.historian.defects.range_changes.judgement import others_moved, return_map, unusual_changes
 from twin.historian.defects.range_changes.maps import Leap
 from twin.historian.tags import Defect, Series, Tag
@@ -238,3 +238,19 @@ def test_a_cell_whose_fan_trips_for_minutes_has_moved() -> None:
     assert others_moved(table, 1, at_s, unusual)  # of its own cell
     assert not others_moved(table, 2, at_s, unusual)
     assert not others_moved(table, 1, at_s + 6 * 3600.0, unusual)
+
+
+def test_a_leap_between_two_near_samples_is_one_beside_larger_steps_of_longer_times() -> None:
+    """A load that is stored every quarter of an hour moves in it by as much as a leap of three minutes."""
+    rng = np.random.default_rng(87)
+    apart = np.full(600, 900.0)
+    apart[300] = 180.0
+    time_s = START_S + np.cumsum(apart)
+    wander = np.where(np.arange(600) % 8 < 4, 0.15, -0.15) * (1.0 + 0.1 * rng.standard_normal(600))
+    value = 5000.0 * np.exp(wander + np.where(np.arange(600) >= 300, np.log(0.66), 0.0))
+    value[298:302] = 5000.0 * np.array([1.0, 1.0, 0.66, 0.66])
+    load = Tag("QH", "kW", "station_heat_load", None, 180.0)
+    other = Tag("TRET", "degC", "return_header_temperature", None, 180.0)
+    good = np.full(600, 192, dtype=np.int16)
+    table = panel([Series(load, time_s, value, good), Series(other, time_s, 30.0 + wander, good)])
+    assert (299, 300) in [(one.row, one.after) for one in leap_candidates(table, 0)]

@@ -102,3 +102,19 @@ def test_of_two_pairs_that_a_swap_reverses_the_swapped_one_is_told() -> None:
         series[k] = replace(series[k], value=value)
     (found,) = swapped(series, [_entry(panel, low)])
     assert found.tags == ("T1", "T2")
+
+
+def test_two_cells_that_stand_for_hours_were_not_exchanged() -> None:
+    """Their thermometers show standing water, whatever the plant predicts; of that, hours prove little."""
+    invented = 0
+    for seed in range(4, 10):
+        rng = np.random.default_rng(seed)
+        panel = _panel(rng, 45, 0.0)
+        low, high = 20 * DAY, 20 * DAY + 66
+        panel.values[2:4, low:high] = np.array([[35.0], [65.0]]) + 0.5 * _rough(rng, 2 * 66, 8.0).reshape(2, 66)
+        wanted = 0.02 * (panel.values[3] - panel.values[2])[low:high]
+        off = -0.5 - 0.25 * (wanted - wanted.mean()) + 0.1 * rng.standard_normal(66)
+        standing = panel.values[4, low:high] - 4.0
+        panel.values[0, low:high], panel.values[1, low:high] = standing + 0.5 * off, standing - 0.5 * off
+        invented += len(swapped(_series(panel)))
+    assert invented == 0

@@ -155,3 +155,20 @@ def test_of_two_units_with_one_edge_the_datasheet_tells_the_wrong_one(late_is_wr
     assert (found.start_s > middle - DAY_S) == late_is_wrong
     (power,) = (one for one in repaired.series if one.tag.name == "JI1")
     assert float(power.value.max()) < 60.0
+
+
+def test_a_pressure_in_a_range_near_the_factor_of_a_unit_is_not_converted() -> None:
+    """Inches of mercury are 2.036 times psi; the other tags know the factor of the span to a per cent."""
+    rng = np.random.default_rng(24)
+    found = []
+    for factor in (1.88, 2.036):
+        store = []
+        for one in instruments(rng, 16.0):
+            if one.tag.name == "PH":
+                one = replace(one, tag=replace(one.tag, unit="psi"), truth=one.truth / 6.894757, noise=0.05)
+                one = replace(one, resolution=0.01, deviation=0.1)
+            time_s, value = scanned(one, rng)
+            inside = (time_s >= START_S + SPAN[0] * DAY_S) & (time_s <= START_S + SPAN[1] * DAY_S)
+            store.append(archived(one, (time_s, np.where(inside & (one.tag.name == "PH"), factor * value, value))))
+        found.append([(one.kind, one.tags, one.repair) for one in _found(store).defects])
+    assert found == [[("range_change", ("PH",), "left out")], [("unit_switch", ("PH",), "converted")]]

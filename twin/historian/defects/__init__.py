@@ -10,7 +10,7 @@ import numpy as np
 from twin.historian.defects.clock_changes import local_by_change
 from twin.historian.defects.clock_course import moved_clocks
 from twin.historian.defects.clocks import Shift, changed_clocks, corrected, repeated_hours, shifted_clocks
-from twin.historian.defects.humidity import latched, wet_bulb_defects
+from twin.historian.defects.humidity import latched, named_impossible, wet_bulb_defects
 from twin.historian.defects.quality import bad_quality
 from twin.historian.defects.range_changes import range_changes
 from twin.historian.defects.repeats import repeated_stamps
@@ -117,14 +117,16 @@ def find_and_repair(
     found += latches + stuck
     series = _without(series, [*latches, *stuck])
     # A dry bulb of another range contradicts the wet bulb for as long as it reads so.
-    dry = list(range_changes(series, DRY).ranges)
+    of_dry = range_changes(series, DRY)
+    dry = list(of_dry.ranges)
     found += dry
     series = _without(series, dry)
     wet = wet_bulb_defects(series, pressure_kPa)
     found += wet
     series = _without(series, wet)
+    before = series
     series, new = _swaps_and_ranges(series, events, full_speed)
-    found += new
+    found += named_impossible(new, before, of_dry.mapped, pressure_kPa)
     for _ in range(ROUNDS):
         if not new:
             break

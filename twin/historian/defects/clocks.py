@@ -144,6 +144,9 @@ def shifted_clocks(
         return Clocks()
     zone = [Shift(timezone)] if timezone is not None else []
     candidates = [Shift(), *zone, *(Shift(add_s=3600.0 * hour) for hour in HOURS)]
+    # What is known of some tags of an interface holds for these: the others of it are compared with them.
+    parts = [Group(tuple(n for n in one.tags if (n in settled) == known)) for one in groups for known in (False, True)]
+    groups = [one for one in parts if one.tags]
     group_of = {name: k for k, group in enumerate(groups) for name in group.tags}
     label = np.array([group_of.get(one.tag.name, -1) for one in usable])
     correlations = _Correlations.of(usable, grid, candidates, label)

@@ -39,6 +39,8 @@ LEAP_S = 3600.0
 """Time about the edge of a contradiction in which a leap is looked for: its averaging blurs the edge by half that."""
 LEAPT, APART_LEAPS = 4.0, 1.5
 """Usual changes in a quarter of an hour by which an instrument leaps, and how much more than any other."""
+STEADIER = 2.0
+"""Times by which one difference must be steadier than another to be the constant one."""
 POSSIBLE_KPA = (50.0, 110.0)
 """Air pressure on Earth (`columns`); another one is none."""
 ROLES = ("relative_humidity", "relative_humidity_redundant")
@@ -102,6 +104,48 @@ def wet_bulb_defects(series: Sequence[Series], pressure_kPa: float) -> list[Defe
     if len(humid) == 1:
         suspects.append((humid[0], shares[0]))
     return [defect for span in spans for defect in _at_fault(grid, span, suspects)]
+
+
+def named_impossible(
+    found: Sequence[Defect], series: Sequence[Series], dry: Sequence[Series], pressure_kPa: float
+) -> list[Defect]:
+    """Return the defects, and of them a wet bulb that shows the dry bulb or more as impossible.
+
+    It looks like a change of range where the dry bulb itself was left out. A dry wick shows the dry bulb, and a range
+    the wet bulb with another zero: the steadier difference decides, as the dry bulb's zero is not known to a degree.
+
+    Parameters
+    ----------
+    found
+        Defects.
+    series
+        Samples of the tags, with those of the spans of these defects.
+    dry
+        The same with a dry bulb of another range mapped back.
+    pressure_kPa
+        Of the site.
+    """
+    wet = {one.tag.name: one for one in series if one.tag.role == "wet_bulb_temperature"}
+    bulb = next((one for one in dry if one.tag.role == "dry_bulb_temperature" and len(one.time_s) > 1), None)
+    humid = [one for one in series if one.tag.role in ROLES and len(one.time_s) > 1]
+    named = []
+    for defect in found:
+        one = wet.get(defect.tags[0])
+        if defect.kind == "range_change" and one is not None and bulb is not None and humid:
+            grid = np.arange(defect.start_s, defect.end_s, STEP_S)
+            measured, t = on_grid(one, grid), on_grid(bulb, grid)
+            off = measured - _expected(t, on_grid(humid[0], grid), np.full(len(grid), pressure_kPa))
+            above = measured - t
+            known = np.isfinite(above) & np.isfinite(off)
+            if (
+                known.any()
+                and float(np.median(above[known])) > -OFFSET_K
+                and STEADIER * _scatter(above[known]) < _scatter(off[known])
+            ):
+                says = f"{one.tag.name} shows the dry bulb or more, as with a wick that is dry"
+                defect = replace(defect, kind="impossible_wet_bulb", says=says)
+        named.append(defect)
+    return named
 
 
 def _at_fault(grid: Array, span: tuple[float, float, float], suspects: Sequence[tuple[Series, Array]]) -> list[Defect]:

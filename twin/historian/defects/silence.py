@@ -27,6 +27,8 @@ JUMP = 3.0
 """Times the usual step between samples, from which a value is another one."""
 RARE = 0.95
 """Share of a tag's own steps that one beyond them is a jump."""
+TAIL = 0.9
+"""Quantile of a group's silences that shows their scale: of a lively group with few silences some per cent are gaps."""
 SURE = 12.0
 """Expected samples above which a single silence is improbable by itself: exp(-12)."""
 WEATHER = frozenset(
@@ -133,8 +135,8 @@ def _silences(members: Sequence[Series]) -> list[tuple[float, float]]:
     largest, scale = SURE, 1.0
     if len(rows) > 50:
         # Silences that are no gaps: the tail of r is about exponential, the largest of n at log n scales above it.
-        middle, far = np.quantile(expected, (0.5, 0.98))
-        scale = max(float(far - middle) / np.log(25.0), 1.0)
+        middle, far = np.quantile(expected, (0.5, TAIL))
+        scale = max(float(far - middle) / np.log(0.5 / (1.0 - TAIL)), 1.0)
         largest = max(SURE, float(middle) + scale * np.log(0.5 * len(rows)))
     found = []
     for k in np.flatnonzero((expected >= largest) & (length >= LEAST_S)):

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.historian.defects.humidity import SATURATED
 from twin.historian.tags import Array, Defect, Series, longest_interval_s
 from twin.historian.units import unit_of
 
@@ -120,14 +121,14 @@ def stuck_values(series: Series, others: Sequence[Series] = ()) -> list[Defect]:
     top = float(np.quantile(np.abs(series.value), 0.98))
     at_work = np.abs(value) > AT_REST * top
     chosen = _set_off(held, at_work)
-    saturates = "humidity" not in series.tag.role  # a latched humidity stands at its end; the other sensor decides
+    # A latched humidity stands at its end, where it also rests in fog; the other sensor decides.
+    saturates = "humidity" not in series.tag.role
     for k in chosen:
         lively = _expected(series.time_s, float(start[k]), float(end[k])) > LIVELY
         if not lively and _by_chance(series, first, last, at_work, k) > CHANCE:
             continue
-        if _rests(value, held, k, top):
-            continue
-        if saturates and _at_end(value, k):
+        may_latch = not saturates and unit_of(series.tag.unit).scale * value[k] >= SATURATED
+        if (not may_latch and _rests(value, held, k, top)) or (saturates and _at_end(value, k)):
             continue
         if series.tag.role == "fan_speed" and _commanded(series, others, float(start[k]), float(end[k])):
             continue

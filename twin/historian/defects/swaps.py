@@ -35,6 +35,9 @@ LEAST_EVIDENCE, LEAST_EVIDENCE_NAMED = 60.0, 15.0
 """Sum of evidence; an hour of clear contradiction gives 4. With a maintenance entry that names both tags the second."""
 AGAINST, AGAINST_NAMED = -0.4, -0.15
 """Correlation of changes inside the span; outside it must be as far on the other side."""
+BEYOND = 3.0
+"""Standard errors by which the changes inside must go against the predicted ones: a thousand to one, as many as there
+are pairs and spans of a station."""
 DAY_S = 86400.0
 ROUNDS = 4
 AROUND_ROWS = 2000
@@ -183,6 +186,9 @@ def _judged(
         inside, outside = span.correlation(low, high), span.correlation(low, high, outside=True)
         if span.evidence < least or inside > against or outside < -against or not long_enough:
             continue
+        # Of short spans many pairs have such a correlation by chance, such as two cells that stand.
+        if not entries and inside > -_chance(high - low, BEYOND):
+            continue
         alone = daily or not (_better(now, other, predict, low, high) and _better(other, now, predict, low, high))
         if alone and not entries:
             continue
@@ -235,16 +241,16 @@ class _Span:
 
     def _right(self, low: int, high: int) -> bool:
         """Return whether the changes between two rows go with the predicted ones, beyond chance."""
-        return self.correlation(low, high) > self._chance(high - low)
+        return self.correlation(low, high) > _chance(high - low)
 
     def _exchanged(self, low: int, high: int) -> bool:
         """Return whether the changes between two rows go against the predicted ones, beyond chance."""
-        return self.correlation(low, high) < -self._chance(high - low)
+        return self.correlation(low, high) < -_chance(high - low)
 
-    @staticmethod
-    def _chance(rows: int) -> float:
-        """Return two standard errors of a correlation of hourly values: a fan's or a load's changes last an hour."""
-        return 2.0 / float(np.sqrt(max(rows / 4.0, 1.0)))
+
+def _chance(rows: int, errors: float = 2.0) -> float:
+    """Return standard errors of a correlation of hourly values: a fan's or a load's changes last an hour."""
+    return errors / float(np.sqrt(max(rows / 4.0, 1.0)))
 
 
 def _span(difference: Array, predict: RobustPredictor, *, daily: bool) -> _Span | None:

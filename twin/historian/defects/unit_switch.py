@@ -14,8 +14,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+from scipy.stats import t as student_t
 
-from twin.historian.defects.panel import RobustPredictor, TagPanel, design_matrix, panel
+from twin.historian.defects.panel import RobustPredictor, TagPanel, design_matrix, known_median, panel
 from twin.historian.defects.unit_edges import Edge, unit_edges
 from twin.historian.tags import Array, Defect, Mask, Series
 from twin.historian.units import Unit, alternatives, full_speed_of, unit_of
@@ -42,12 +45,14 @@ it."""
 OTHER_FACTOR, SCATTERS = 0.12, 2.0
 """Share of what the switch moves, and deviations of the rows, by which the converted span may be apart from the rest:
 5 % of a fan's speed in Hz, 4 % of a power in hp."""
-BESIDE, NEXT = 48, 4
-"""Rows of a quarter of an hour on either side of an edge whose levels are compared, half a day; and within how many of
-them it must be at work, an hour."""
-OFF_FACTOR, SURELY = 0.25, 3.0
-"""Logarithm of the ratio of the levels, and median deviations of it, beyond which a factor is none of a unit: operation
-moves a level by less in half a day, or varies meanwhile."""
+SPANS = float(np.log(2.0))
+"""Standard deviation of the logarithm of the factor of a changed range: usually a half to a double span."""
+PARTS = 3, 5
+"""Parts of the record outside a span, about as long as it, by which a factor is known: fewest and most."""
+ROUNDED = 0.005
+"""Scatter of a factor at best: converted values are stored with two or three digits."""
+TWENTY_TO_ONE = 3.0
+"""Log odds from which a factor is that of a unit (Kass & Raftery); below, nothing is converted."""
 FEWEST_ROWS = 8
 """Rows of a quarter of an hour at work by which a span is judged: `LEAST_S`."""
 OUTSIDE = 0.7
@@ -247,11 +252,11 @@ class _Witnesses:
     """Prediction of a tag by some of the others, `plain` that of its values as they stand."""
 
     def __init__(self, table: TagPanel, k: int, drivers: Sequence[int]) -> None:
-        self.predict = RobustPredictor(_witnesses(table, k, drivers))
+        self.predict = RobustPredictor(witnesses_of(table, k, drivers))
         self.plain = self.predict(table.values[k])
 
 
-def _witnesses(table: TagPanel, k: int, drivers: Sequence[int]) -> Array:
+def witnesses_of(table: TagPanel, k: int, drivers: Sequence[int]) -> Array:
     """Return what predicts a tag: the other tags, and the laws that tie a fan's power to its speed."""
     drivers = [j for j in drivers if unit_of(table.series[j].tag.unit).dimension != "angle"]
     rows = [table.values[j] for j in drivers]
@@ -309,34 +314,63 @@ def _best_span(
         predicted, _ = predict(np.where(inside, other, x))
         odds_of_rows = _judged(x, other, (plain[0], predicted), inside, unit.scale / own.scale, odds_of >= SURE_EDGES)
         total_odds = odds_of + odds_of_rows - float(np.log(len(pairs)))
-        if total_odds >= LEAST_ODDS and not (own.offset == unit.offset == 0.0 and _of_another_factor(x, other, inside)):
+        if total_odds >= LEAST_ODDS:
             valid.append((total_odds, low, high))
     if not valid:
         return None
     most, low, high = max(valid)
+    by_factor = own.offset == unit.offset == 0.0
+    inside = (grid >= low) & (grid <= high)
+    if by_factor and not is_of_the_unit(x, other, inside, predict.matrix):
+        return None
     return _Span(unit, name, low, high, most)
 
 
-def _of_another_factor(x: Array, converted: Array, inside: Mask) -> bool:
-    """Return whether the converted readings of a span (m,) are on another level than the readings beside each edge.
+def is_of_the_unit(x: Array, converted: Array, inside: Mask, witnesses: Array) -> bool:
+    """Return whether a span of a tag is in another unit rather than in another range of any factor.
 
-    A change of range by another factor than that of units can be near enough to it to explain most of the leap.
-    Readings that vary as much as the levels differ tell nothing.
+    A unit's factor is exact. The factor that the span needs beyond it is known as well as that of other parts of the
+    record, which need none (Student's distribution). A range's factor is as probable as `SPANS` has it.
+
+    Parameters
+    ----------
+    x, converted
+        Readings (m,) as they stand, and as converted from the other unit by its factor.
+    inside
+        Rows of the span (m,).
+    witnesses
+        What predicts the tag (m, k).
     """
     value = np.where(inside, converted, x)
-    edges = np.flatnonzero(np.diff(inside.astype(np.int8)) != 0) + 1
-    rest = AT_REST * float(np.nanquantile(np.abs(value), 0.95)) if np.isfinite(value).any() else np.inf
-    off = []
-    for at in edges.tolist():
-        sides = value[max(at - BESIDE, 0) : at], value[at : at + BESIDE]
-        work = [side > rest for side in sides]
-        if min(rows.sum() for rows in work) < FEWEST_ROWS or not (work[0][-NEXT:].any() and work[1][:NEXT].any()):
-            return False  # it may have started anew at another level
-        parts = [np.log(side[rows]) for side, rows in zip(sides, work, strict=True)]
-        scatter = max(float(np.median(np.abs(part - np.median(part)))) for part in parts)
-        apart = abs(float(np.median(parts[1]) - np.median(parts[0])))
-        off.append(apart > max(OFF_FACTOR, SURELY * scatter))
-    return bool(off) and all(off)
+    if not np.isfinite(value).any():
+        return False
+    value = np.where(value > AT_REST * float(np.nanquantile(value, 0.95)), value, np.nan)
+    span, rest = (np.flatnonzero(np.isfinite(value) & part) for part in (inside, ~inside))
+    if len(span) < FEWEST_ROWS or len(rest) < FEWEST_ROWS * PARTS[0]:
+        return False
+    predict = RobustPredictor(witnesses)
+    apart = _log_factor(value, span, predict)
+    right = np.where(inside, np.nan, value)
+    parts = np.array_split(rest, int(np.clip(len(rest) // len(span), *PARTS)))
+    usual = 1.4826 * known_median(np.abs([_log_factor(right, part, predict) for part in parts]))
+    scale = max(usual, ROUNDED)
+    ratio = float(np.log(known_median(x[span] / converted[span])))
+    of_unit = student_t.logpdf(apart / scale, len(parts)) - np.log(scale)
+    return bool(of_unit - norm.logpdf(ratio + apart, scale=SPANS) >= TWENTY_TO_ONE)
+
+
+def _log_factor(value: Array, rows: NDArray[np.intp], predict: RobustPredictor) -> float:
+    """Return the logarithm of the factor of some rows of values (m,) over what the others and the witnesses predict."""
+    factor = 0.0
+    for _ in range(ROUNDS + 1):
+        again = value.copy()
+        again[rows] *= np.exp(-factor)
+        predicted, _ = predict(again)
+        there = predicted[rows]
+        if not (there > 0.0).any():
+            return np.inf
+        factor = float(np.median(np.log(value[rows][there > 0.0] / there[there > 0.0])))
+    return factor
 
 
 def _inside(n: int, rows: Array) -> Mask:

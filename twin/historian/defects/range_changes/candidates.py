@@ -91,7 +91,7 @@ def leap_candidates(table: TagPanel, k: int) -> list[LeapCandidate]:
     step = np.diff(x[work])
     apart = np.diff(series.time_s[work])
     usual = float(np.quantile(np.abs(step[~hidden]), USUAL[0])) / USUAL[1] if (~hidden).any() else 0.0
-    stretch = np.sqrt(np.maximum(apart / max(float(np.median(apart)), 1e-9), 1.0))
+    stretch = np.sqrt(apart / max(float(np.median(apart)), 1e-9))
     far = np.maximum(least, 0.0 if series.tag.role in FANS else FAR * usual * stretch)
     found: list[tuple[float, LeapCandidate]] = []
     for i in np.flatnonzero(hidden | (np.abs(step) >= far)).tolist():

@@ -37,10 +37,12 @@ from twin.historian.units import unit_of
 
 @dataclass(frozen=True)
 class RangeChanges:
-    """Spans in which tags read on another scale: of the kind `range_change`, and those whose scale is of a unit."""
+    """Spans in which tags read on another scale: of the kind `range_change`, and those whose scale is of a unit; and
+    the series, mapped to their readings before."""
 
     ranges: tuple[Defect, ...]
     units: tuple[Switch, ...]
+    mapped: tuple[Series, ...]
 
     @property
     def defects(self) -> list[Defect]:
@@ -84,11 +86,12 @@ def range_changes(
         leaps[k].append(leap)
         table = _mapped(table, k, leap)
         anew = [j for j in judged if related(table, k, j)]
-    spans = [(table.series[k], one) for k, found in leaps.items() for one in scale_spans(table.series[k], found)]
-    units = {id(span): unit_of_span(one, span, full_speed) for one, span in spans}
+    spans = [(k, one) for k, found in leaps.items() for one in scale_spans(table.series[k], found)]
+    units = {id(span): unit_of_span(table, k, span, full_speed) for k, span in spans}
     return RangeChanges(
-        tuple(defect_of(one, span) for one, span in spans if units[id(span)] is None),
+        tuple(defect_of(table.series[k], span) for k, span in spans if units[id(span)] is None),
         tuple(switch for switch in units.values() if switch is not None),
+        table.series,
     )
 
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.historian.defects.panel import TagPanel
 from twin.historian.defects.range_changes.maps import BACK, Leap
 from twin.historian.defects.range_changes.readings import canonical
-from twin.historian.defects.unit_switch import Switch, other_units
+from twin.historian.defects.unit_switch import Switch, is_of_the_unit, other_units, witnesses_of
 from twin.historian.tags import Defect, Series
 from twin.historian.units import unit_of
 
@@ -47,8 +48,12 @@ def scale_spans(series: Series, leaps: Sequence[Leap]) -> list[OtherScale]:
     return found
 
 
-def unit_of_span(series: Series, span: OtherScale, full_speed: str) -> Switch | None:
-    """Return a span as a change of unit if its factor is that between two units, of some the nearest."""
+def unit_of_span(table: TagPanel, k: int, span: OtherScale, full_speed: str) -> Switch | None:
+    """Return a span as a change of unit if its factor is that between two units, of some the nearest.
+
+    The table holds the readings of the tag mapped to those before its leaps.
+    """
+    series = table.series[k]
     own = unit_of(series.tag.unit)
     if span.constant != 0.0 or own.offset != 0.0:
         return None
@@ -60,6 +65,11 @@ def unit_of_span(series: Series, span: OtherScale, full_speed: str) -> Switch | 
     # Of units that are alike, as L/s and kg/s, the first is of the tag's own kind.
     apart, name, unit = min(near, key=lambda one: round(one[0], 2), default=(np.inf, "", own))
     if apart > OF_A_UNIT:
+        return None
+    inside = (table.grid_s >= span.start_s) & (table.grid_s <= span.end_s)
+    x = np.where(inside, span.factor * table.values[k], table.values[k])
+    witnesses = witnesses_of(table, k, [j for j in range(len(table.series)) if j != k])
+    if not is_of_the_unit(x, unit.scale / own.scale * x, inside, witnesses):
         return None
     says = f"{series.tag.name} is in {name} instead of {series.tag.unit}"
     return Switch(Defect("unit_switch", (series.tag.name,), span.start_s, span.end_s, says, "converted"), unit)
