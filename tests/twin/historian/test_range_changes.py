@@ -254,3 +254,25 @@ def test_a_leap_between_two_near_samples_is_one_beside_larger_steps_of_longer_ti
     good = np.full(600, 192, dtype=np.int16)
     table = panel([Series(load, time_s, value, good), Series(other, time_s, 30.0 + wander, good)])
     assert (299, 300) in [(one.row, one.after) for one in leap_candidates(table, 0)]
+
+
+def test_the_thermometer_of_a_cell_that_stands_has_no_other_range() -> None:
+    """Other water comes and goes about it while none passes, which no other tag shows."""
+    rng = np.random.default_rng(88)
+    n = 10 * 1440
+    water = 30.0 + 2.0 * np.sin(np.arange(n) / 230.0) + 0.8 * np.sin(np.arange(n) / 37.0)
+    on = np.ones(n)
+    on[5 * 1440 : 8 * 1440] = 0.0
+    inlet = water.copy()
+    inlet[6 * 1440 : 7 * 1440] -= 4.0
+    made = [
+        Instrument(Tag("ON1", "0/1", "cell_in_service", 1, 60.0), on, 0.0, 1.0, 0.5, "plc1"),
+        Instrument(Tag("T1IN", "degC", "water_inlet_temperature", 1, 120.0), inlet, 0.05, 0.01, 0.12, "plc1"),
+        Instrument(Tag("TRET", "degC", "return_header_temperature", None, 120.0), water, 0.05, 0.01, 0.12, "dcs"),
+    ]
+    store = [archived(one, scanned(one, rng)) for one in made]
+    assert range_changes(store).defects == []
+    changed = replace(made[1], truth=water + np.where(np.arange(n) > 5 * 1440, 4.0, 0.0))
+    store[0] = archived(replace(made[0], truth=np.ones(n)), scanned(replace(made[0], truth=np.ones(n)), rng))
+    store[1] = archived(changed, scanned(changed, rng))
+    assert [one.tags for one in range_changes(store).defects] == [("T1IN",)]

@@ -127,3 +127,17 @@ def test_a_fan_that_often_turns_without_a_flow_is_a_habit(moving: Array) -> None
 
 def _repaired(store: list[Series]) -> Repaired:
     return find_and_repair(store, timezone=ZONE, pressure_kPa=95.0)
+
+
+def test_a_value_that_stands_on_both_sides_of_a_gap_stood_in_it(moving: Array) -> None:
+    """Else none of its parts is set off from the longest run of a healthy tag."""
+    rng = np.random.default_rng(44)
+    value = np.round(moving + 0.5 * rng.standard_normal(4800), 1)
+    value[1000:1500] = 55.5
+    value[3000:3140] = 44.4
+    one = _series("water_inlet_temperature", "degC", value)
+    time_s = START_S + 180.0 * np.arange(4800)
+    holes = np.array([[time_s[1180], time_s[1200]], [time_s[1360], time_s[1380]]])
+    rows = ~((time_s > holes[0, 0]) & (time_s < holes[0, 1])) & ~((time_s > holes[1, 0]) & (time_s < holes[1, 1]))
+    found = stuck_values(replace(one.rows(rows), holes=holes))
+    assert max(defect.end_s - defect.start_s for defect in found) > 24.0 * 3600.0

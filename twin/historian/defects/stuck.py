@@ -115,7 +115,7 @@ def stuck_values(series: Series, others: Sequence[Series] = ()) -> list[Defect]:
     if constant is not None:
         return _contradicted(series, constant, others)
     found = _zero_at_work(series, others)
-    first, last, end = _runs(series)
+    first, last, end = _joined(series, *_runs(series))
     value, start = series.value[first], series.time_s[first]
     held = series.time_s[last] - start
     top = float(np.quantile(np.abs(series.value), 0.98))
@@ -259,6 +259,18 @@ def _runs(series: Series) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
     following = np.minimum(last + 1, len(value) - 1)
     cut = np.append(series.broken(), True)[last]
     return first, last, np.where(cut, time_s[last], time_s[following])
+
+
+def _joined(
+    series: Series, first: NDArray[np.int64], last: NDArray[np.int64], end: Array
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Return the runs with those joined that stand at one value for hours on either side of a hole."""
+    held, value = series.time_s[last] - series.time_s[first], series.value[first]
+    long = held >= LEAST_S
+    same = (value[1:] == value[:-1]) & long[1:] & long[:-1]
+    begin = np.flatnonzero(np.append(True, ~same))
+    stop = np.append(begin[1:], len(first)) - 1
+    return first[begin], last[stop], end[stop]
 
 
 def _expected(time_s: Array, start: float, end: float) -> float:

@@ -18,6 +18,7 @@ from twin.historian.defects.range_changes.readings import (
     is_witnessed,
     law_ratio,
     least_ratio,
+    stands,
 )
 from twin.historian.tags import Array, Series
 from twin.historian.units import unit_of
@@ -83,7 +84,7 @@ def leap_candidates(table: TagPanel, k: int) -> list[LeapCandidate]:
     elif is_ratio(series):
         rest = max(SMALLEST_WORK * float(np.quantile(np.abs(x), 0.95)), 1e-9)
         x, least = np.where(x > rest, np.log(np.maximum(x, rest)), np.nan), least_ratio(series)
-    work = np.flatnonzero(np.isfinite(x))
+    work = np.flatnonzero(np.isfinite(x) & ~stands(table, k, series.time_s))
     if len(work) < FEWEST:
         return []
     ends = np.concatenate([[0], np.cumsum(series.broken())])

@@ -28,6 +28,7 @@ from twin.historian.defects.range_changes.readings import (
     law_ratio,
     least_ratio,
     related,
+    stands,
 )
 from twin.historian.tags import Array, Mask, Series
 from twin.historian.units import unit_of
@@ -217,6 +218,7 @@ def _judged_over(
     x = table.values[k, rows]
     if rest is not None:
         x = np.where(np.abs(x) > rest, x, np.nan)
+    x = np.where(stands(table, k, grid[rows]), np.nan, x)
     x = np.where((grid[rows] > before_s) & (grid[rows] < after_s), np.nan, x)
     after = grid[rows] >= after_s
     if _fewest(x, after) < (HIDDEN_ROWS if at.hidden else LEAST_ROWS):

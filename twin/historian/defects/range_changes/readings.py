@@ -6,7 +6,7 @@ import numpy as np
 
 from twin.historian.checks import FAN_APART, THERMOMETER_K
 from twin.historian.defects.panel import TagPanel
-from twin.historian.tags import Array, Series, longest_interval_s
+from twin.historian.tags import Array, Mask, Series, longest_interval_s
 from twin.historian.units import unit_of
 
 WITNESSED = frozenset(
@@ -38,6 +38,7 @@ WEATHER = frozenset(
     }
 )
 
+OF_WATER = ("water_inlet_temperature", "water_outlet_temperature", "basin_temperature")
 FANS = ("fan_speed", "fan_power")
 LEAST = {"temperature": 1.5 * THERMOMETER_K, "share": 10.0}
 """Smallest leap by dimension, in the record's unit: beyond the largest bias that a calibration may find; of a humidity,
@@ -64,6 +65,25 @@ def canonical(series: Series) -> Array:
 def is_ratio(series: Series) -> bool:
     """Return True for a quantity whose changes count as shares of it."""
     return unit_of(series.tag.unit).dimension not in LEAST and series.tag.role != "barometric_pressure"
+
+
+def stands(table: TagPanel, k: int, time_s: Array) -> Mask:
+    """Return the times (n,) at which no water passes a cell's thermometer of water, so that no other tag follows it.
+
+    The state of the cell tells it, or its flow; where neither is known, it is taken to work.
+    """
+    own = table.series[k].tag
+    none = np.zeros(len(time_s), dtype=bool)
+    if own.role not in OF_WATER or own.cell is None:
+        return none
+    of_cell = {one.tag.role: one for one in table.series if one.tag.cell == own.cell}
+    other = of_cell.get("cell_in_service", of_cell.get("water_flow"))
+    if other is None:
+        return none
+    value = np.abs(other.at(time_s, 1.2 * longest_interval_s(other)))
+    state = other.tag.role == "cell_in_service"
+    rest = 0.5 if state else SMALLEST_WORK * float(np.quantile(np.abs(other.value), 0.95))
+    return np.asarray(value < rest)
 
 
 def _of_its_fan(table: TagPanel, k: int) -> Array:
