@@ -141,3 +141,19 @@ def test_a_value_that_stands_on_both_sides_of_a_gap_stood_in_it(moving: Array) -
     rows = ~((time_s > holes[0, 0]) & (time_s < holes[0, 1])) & ~((time_s > holes[1, 0]) & (time_s < holes[1, 1]))
     found = stuck_values(replace(one.rows(rows), holes=holes))
     assert max(defect.end_s - defect.start_s for defect in found) > 24.0 * 3600.0
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_power_that_stands_for_hours_while_its_fan_moves_is_stuck(moves: bool) -> None:
+    """Its habit tells nothing: at one speed it stands as long."""
+    rng = np.random.default_rng(45)
+    speed = np.full(4800, 45.0) + np.where(np.arange(4800) // 60 % 2 == 0, 10.0, 0.0)
+    speed[1000:1060] = 45.0
+    if moves:
+        speed[1030:1050] = 60.0
+    power = np.round(20.0 * (speed / 60.0) ** 3 + 0.3 * rng.standard_normal(4800), 1)
+    power[1000:1060] = 8.4
+    power[3004:3042] = power[3004]  # at one speed
+    fan = [_series("fan_speed", "Hz", speed), _series("fan_speed_command", "Hz", speed)]
+    found = _stuck(_series("fan_power", "kW", power), *fan)
+    assert [text.split(", ")[1].split()[:2] for text in found] == ([["while", "fan_speed"]] if moves else [])

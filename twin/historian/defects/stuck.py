@@ -34,6 +34,8 @@ AROUND_S = 2.0 * 3600.0
 LIVELY = 20.0
 """Expected samples, by the rates on either side, from which standing still is improbable: exp(-20) for a Poisson
 process, and samples of one tag come more evenly than those."""
+REPEATS = 3
+"""Repeats of a value from which a fan's tag stands while its fan moves: its noise repeats one, seldom two."""
 AT_REST = 0.02
 """Share of the 98 % quantile: at rest below it."""
 REST_RUNS = 2
@@ -135,6 +137,14 @@ def stuck_values(series: Series, others: Sequence[Series] = ()) -> list[Defect]:
         hours = (end[k] - start[k]) / 3600.0
         says = f"{series.tag.name} stood at {value[k]:g} {series.tag.unit} for {hours:.1f} h"
         found.append(Defect("stuck", (series.tag.name,), float(start[k]), float(end[k]), says, "left out"))
+    if series.tag.role in ("fan_power", "fan_speed"):
+        for k in np.flatnonzero(at_work & (held >= LEAST_S) & (last - first >= REPEATS)).tolist():
+            span = float(start[k]), float(end[k])
+            if not any(one.start_s == span[0] for one in found) and (moved := _against_the_fan(series, others, *span)):
+                says = (
+                    f"{series.tag.name} stood at {value[k]:g} {series.tag.unit} for {held[k] / 3600.0:.1f} h, {moved}"
+                )
+                found.append(Defect("stuck", (series.tag.name,), *span, says, "left out"))
     return found
 
 
@@ -202,6 +212,21 @@ def _of_cell(series: Series, others: Sequence[Series], role: str) -> Series | No
     """Return the tag of a role of the same cell; None without one of some samples."""
     there = (one for one in others if one.tag.role == role and one.tag.cell == series.tag.cell)
     return next((one for one in there if len(one.time_s) >= 2), None)
+
+
+def _against_the_fan(series: Series, others: Sequence[Series], start: float, end: float) -> str:
+    """Return what moved while a fan's tag stood, if its command and its other tag did; else nothing.
+
+    A command alone moves where a fan is run by hand. Power and speed of one fan have a law.
+    """
+    inside = [(witness, other, other.between(start, end)) for witness, other in _witnesses(series, others)]
+    if {witness.role for witness, _, _ in inside} <= {_COMMAND.role}:
+        return ""
+    if not all(_moved(witness, other, *_range(part.value)) for witness, other, part in inside):
+        return ""
+    _, other, part = inside[-1]
+    low, high = _range(part.value)
+    return f"while {other.tag.name} moved from {low:.4g} to {high:.4g} {other.tag.unit}"
 
 
 def _commanded(series: Series, others: Sequence[Series], start: float, end: float) -> bool:
