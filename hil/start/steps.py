@@ -292,7 +292,8 @@ def _healthy_questions(course: Course) -> Asked:
 def _healthy(course: Course) -> list[Action]:
     answers = course.answers
     plant = course.simulated and not course.is_built_in
-    with_twin = ("--twin", answers["twin"]) if plant else ("--no-twin",)
+    # A plant follows a twin, which a run without calibrators does not take; nothing is done with what they find.
+    with_twin = ("--twin", answers["twin"], "--calibrator", "least_squares") if plant else ("--no-twin",)
     run = ("run", answers["healthy"], "--rig", course.rig, *course.simulated, *with_twin, "--runs", "runs/healthy")
     return [
         *_generated(course, answers["healthy"], HEALTHY, _HEALTHY),

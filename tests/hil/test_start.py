@@ -53,7 +53,7 @@ time_s,heater_power_W,pump_speed_pct,fan_speed_pct
 """
 SHIM = """#!/bin/sh
 case "$*" in
-  *"--runs runs/load"|"diagnose "*) mkdir -p runs/load/made; echo "$*" >> asked ;;
+  *"--runs runs/trial"|*"--runs runs/load"|"diagnose "*) mkdir -p runs/load/made; echo "$*" >> asked ;;
   *) exec "{python}" -m hil "$@" ;;
 esac
 """
@@ -138,7 +138,7 @@ def test_every_answer_is_kept_and_can_be_given_again(course):
 
 
 def test_the_script_gives_the_same_files(course, tmp_path):
-    """Up to the twin; of the run after it and its diagnosis, which the course has carried out, the same commands."""
+    """Up to the twin; of the trial, the run and its diagnosis, which the course has carried out, the same commands."""
     folder, course_done = course
     again = tmp_path / "again"
     again.mkdir()
@@ -161,7 +161,9 @@ def test_the_script_gives_the_same_files(course, tmp_path):
         record = pq.read_table(sorted((place / "runs/healthy").iterdir())[-1] / "record.parquet")
         values.append((twin["elements"], np.asarray(record["T_tank_C"])))
     assert values[0][0] == values[1][0] and np.array_equal(values[0][1], values[1][1])
-    run, diagnosis = (again / "asked").read_text(encoding="utf-8").splitlines()
+    trial, run, diagnosis = (again / "asked").read_text(encoding="utf-8").splitlines()
+    assert trial.endswith("--virtual --lockstep --no-twin --runs runs/trial")
+    assert f"$ hil {trial}\n" in (folder / "log.txt").read_text(encoding="utf-8")
     assert run.endswith("--runs runs/load") and f"$ hil {run}\n" in course_done.stdout
     assert diagnosis == "diagnose runs/load/made" and '$ hil diagnose "runs/load/' in course_done.stdout
 
