@@ -22,6 +22,14 @@ def test_a_healthy_record_is_adequate(bench: Bench, healthy: Columns) -> None:
     assert all(e.after < 1.1 * e.noise for e in found.errors.values())
 
 
+def test_what_is_usual_in_a_part_follows_how_much_the_rig_moves_there(bench: Bench, healthy: Columns) -> None:
+    steady = bench.record(16.0)
+    found = diagnose(bench.network, steady, healthy)
+    assert all(0.3 * e.noise < e.usual < 3.0 * e.noise for e in found.errors.values())
+    unknown = diagnose(bench.network, steady)
+    assert all(e.usual == 0.0 for e in unknown.errors.values())
+
+
 def test_heat_in_the_modules_is_named_sized_and_dated(bench: Bench, healthy: Columns) -> None:
     record = bench.record(changed=bench.with_values(modules_power__power=120.0), onset_h=5.0)
     found = diagnose(bench.network, record, healthy)

@@ -77,14 +77,6 @@ def test_an_answer_that_the_held_out_part_contradicts_is_withdrawn(bench: Bench)
     assert contradicted({one: off(0.5, 0.4, usual=0.2)}, network)
 
 
-def test_what_is_usual_in_a_part_follows_how_much_the_rig_moves_there(bench: Bench, healthy: Columns) -> None:
-    steady = bench.record(16.0)
-    found = diagnose(bench.network, steady, healthy)
-    assert all(0.3 * e.noise < e.usual < 3.0 * e.noise for e in found.errors.values())
-    unknown = diagnose(bench.network, steady)
-    assert all(e.usual == 0.0 for e in unknown.errors.values())
-
-
 def test_what_shows_in_the_held_out_part_alone_is_found(brisk: Bench, brisk_healthy: Columns) -> None:
     """A loss that grows from the beginning, seen at the end: the fit is given more of the record, which is said."""
     grown = brisk.record(16.0, noise=1.0)

@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 import math
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -289,6 +290,13 @@ def test_two_cases_from_end_to_end(in_turn: tuple[Path, dict[str, Any]]) -> None
 
 def test_cases_on_two_workers_are_those_of_one(in_turn: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     pytest.importorskip("distributed")
+    # The specimen of one case is that of the other trial; that of the other case is made anew, on a worker.
+    known = setting(1, 0, 1.0).unit
+    assert known != setting(2, 0, 1.0).unit
+    for path in in_turn[0].rglob(f"rigs/unit_{known}.*"):
+        there = tmp_path / path.relative_to(in_turn[0])
+        there.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, there)
     done = CliRunner().invoke(group, [*TRIAL, "--jobs", "2", "--work", str(tmp_path)])
     assert done.exit_code == 0, done.output
     answers = []

@@ -6,8 +6,6 @@ import asyncio
 import json
 import math
 import sqlite3
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -209,10 +207,10 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 
 
 def run(place: Path, load: str, *more: object) -> RunFolder:
-    command = [sys.executable, "-m", "hil", "run", place / f"{load}.csv", "--virtual", "--lockstep", "--no-viewer"]
-    command += ["--rig", place / "slow.toml", "--runs", place / "runs", "--json", *more]
-    command += [] if "--no-twin" in more else ["--calibrator", "least_squares"]
-    done = subprocess.run([*map(str, command)], capture_output=True, text=True, cwd=PROJECT, timeout=550)
+    words = ["run", place / f"{load}.csv", "--virtual", "--lockstep", "--no-viewer"]
+    words += ["--rig", place / "slow.toml", "--runs", place / "runs", "--json", *more]
+    words += [] if "--no-twin" in more else ["--calibrator", "least_squares"]
+    done = typed(*words)
     assert done.returncode == 0, done.stderr
     return RunFolder(Path(json.loads(done.stdout)["folder"]))
 

@@ -197,7 +197,7 @@ def test_a_signal_while_files_are_made_leaves_the_record_and_says_how_to_make_th
 @pytest.mark.parametrize(
     ("number", "twin"),
     [
-        (signal.SIGINT, []),
+        (signal.SIGINT, ["--calibrator", "pso"]),
         (signal.SIGTERM, ["--calibrator", "least_squares"]),
         (signal.SIGHUP, ["--no-twin"]),
         (signal.SIGQUIT, ["--no-twin"]),

@@ -117,7 +117,7 @@ def step_response(*constants: float) -> np.ndarray:
     return rise
 
 
-def finely(net: Network, values: dict[str, float], u: np.ndarray, pieces: int = 100) -> np.ndarray:
+def finely(net: Network, values: dict[str, float], u: np.ndarray, pieces: int) -> np.ndarray:
     """[T_a, T_b, wall, mass, lag] at the samples: Heun's method with small steps, plug flow by interpolation."""
     p = {name: net.parameters[name].value for name in net.ids} | values
     every = np.minimum(np.arange((N - 1) * pieces + 1) // pieces, N - 2)
@@ -175,7 +175,9 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_agrees_with_small_steps(kernel: Kernel, case: str) -> None:
     u = drive()
-    got, fine = run(kernel, CASES[case], u), finely(kernel.network, CASES[case], u)
+    # The lagging relay takes steps of its power as it finds them, so that it needs smaller ones.
+    pieces = 100 if case == "actuator" else 25
+    got, fine = run(kernel, CASES[case], u), finely(kernel.network, CASES[case], u, pieces)
     reading = fine[:, 4] if case == "sensor" else fine[:, 1]
     assert np.abs(got[:, 0] - fine[:, 0]).max() < 1e-4
     assert np.abs(got[:, 1] - reading).max() < 1e-4

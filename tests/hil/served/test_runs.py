@@ -17,22 +17,21 @@ import pyarrow.parquet as pq
 import pytest
 
 from hil.run_folder import RunFolder
+from tests.hil.command_line import typed
 from tests.hil.served.rig_files import PROJECT, bench_file, loop_file
 
 LOAD = "time_s,heater_power_W,pump_speed_pct\n0,0,100\n60,800,100\n600,800,50\n1200,800,50\n"
 
 
+@pytest.fixture(autouse=True)
+def _wide(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "400")
+
+
 def hil(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(PROJECT), "COLUMNS": "400"}
-    return subprocess.run(
-        [sys.executable, "-m", "hil", *arguments],
-        cwd=cwd,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=180,
-        check=False,
-    )
+    """Return the answer of the command line in this process, in another folder; rig and plant are processes still."""
+    with contextlib.chdir(cwd):
+        return typed(*arguments)
 
 
 @contextlib.contextmanager

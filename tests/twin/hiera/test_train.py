@@ -35,7 +35,7 @@ def _one_thread() -> Iterator[None]:
 def test_eight_windows_are_learned_by_heart() -> None:
     windows = fake.windows(8)
     plan = TrainingPlan(
-        steps=120,
+        steps=80,
         batch=8,
         rate=4e-3,
         warmup=0.1,

@@ -227,7 +227,7 @@ def _vapour(celsius: Array) -> Array:
     return np.asarray(0.61094 * np.exp(17.625 * celsius / (celsius + 243.04)))
 
 
-@numba.njit
+@numba.njit(cache=True)
 def _first_order(x, a):  # type: ignore[no-untyped-def]
     y = np.empty(len(x))
     state, gain = 0.0, np.sqrt(1.0 - a * a)
@@ -237,7 +237,7 @@ def _first_order(x, a):  # type: ignore[no-untyped-def]
     return y
 
 
-@numba.njit
+@numba.njit(cache=True)
 def _lag(x, share):  # type: ignore[no-untyped-def]
     y = np.empty(len(x))
     state = x[0]
@@ -247,7 +247,7 @@ def _lag(x, share):  # type: ignore[no-untyped-def]
     return y
 
 
-@numba.njit
+@numba.njit(cache=True)
 def _reported(time_s, value, deviation, longest):  # type: ignore[no-untyped-def]
     keep = np.zeros(len(value), dtype=np.bool_)
     last = 0
@@ -263,7 +263,7 @@ def _reported(time_s, value, deviation, longest):  # type: ignore[no-untyped-def
     return keep
 
 
-@numba.njit
+@numba.njit(cache=True)
 def _compressed(time_s, value, deviation, longest):  # type: ignore[no-untyped-def]
     keep = np.zeros(len(value), dtype=np.bool_)
     keep[0] = True

@@ -48,29 +48,29 @@ def _found(store: list[Series]) -> list[Defect]:
 
 
 @pytest.mark.parametrize(
-    ("name", "factor", "constant", "words"),
+    "changes",
     [
-        ("T1OUT", 1.0, 5.0, "5 degC more than it did"),
-        ("F1", 1.37, 0.0, "1.37 times what it did"),
-        ("JI1", 1.6, 0.0, "1.6 times what it did"),
-        ("PH", 1.25, 0.0, "1.25 times what it did"),
-        ("PB", 1.0, -40.0, "40 hPa less than it did"),
+        (("T1OUT", 1.0, 5.0, "5 degC more than it did"), ("F1", 1.37, 0.0, "1.37 times what it did")),
+        (("JI1", 1.6, 0.0, "1.6 times what it did"), ("PH", 1.25, 0.0, "1.25 times what it did")),
+        (("PB", 1.0, -40.0, "40 hPa less than it did"),),
     ],
 )
-def test_a_change_of_range_is_told_with_tag_time_and_size(
-    name: str, factor: float, constant: float, words: str
-) -> None:
+def test_a_change_of_range_is_told_with_tag_time_and_size(changes: tuple[tuple[str, float, float, str], ...]) -> None:
+    """One station has two of them, days apart."""
     rng = np.random.default_rng(70)
     plant = instruments(rng, 20.0)
-    at = _running(plant, 6.0)
-    store = _store(plant, rng, [(name, at, 99.0, factor, constant)])
-    found = _found(store)
-    assert [(one.kind, one.tags) for one in found] == [("range_change", (name,))]
-    assert abs(found[0].start_s - START_S - at * DAY_S) < 3600.0
-    assert found[0].end_s == next(one.time_s[-1] for one in store if one.tag.name == name)
-    said = found[0].says.split(" reads ")[1].split(",")[0].split()
-    wanted = words.split()
-    assert float(said[0]) == pytest.approx(float(wanted[0]), rel=0.06) and said[1:] == wanted[1:]
+    days = [_running(plant, first) for first in (6.0, 11.0)][: len(changes)]
+    made = [(name, at, 99.0, factor, constant) for (name, factor, constant, _), at in zip(changes, days, strict=True)]
+    store = _store(plant, rng, made)
+    found = {one.tags: one for one in _found(store)}
+    assert [one.kind for one in found.values()] == ["range_change"] * len(changes)
+    for (name, _, _, words), at in zip(changes, days, strict=True):
+        one = found[name,]
+        assert abs(one.start_s - START_S - at * DAY_S) < 3600.0
+        assert one.end_s == next(series.time_s[-1] for series in store if series.tag.name == name)
+        said = one.says.split(" reads ")[1].split(",")[0].split()
+        wanted = words.split()
+        assert float(said[0]) == pytest.approx(float(wanted[0]), rel=0.06) and said[1:] == wanted[1:]
 
 
 def test_readings_in_another_range_are_left_out_and_those_after_its_end_kept() -> None:
