@@ -293,7 +293,9 @@ def test_cases_on_two_workers_are_those_of_one(in_turn: tuple[Path, dict[str, An
     # The specimen of one case is that of the other trial; that of the other case is made anew, on a worker.
     known = setting(1, 0, 1.0).unit
     assert known != setting(2, 0, 1.0).unit
-    for path in in_turn[0].rglob(f"rigs/unit_{known}.*"):
+    files = list(in_turn[0].rglob(f"rigs/unit_{known}.*"))
+    assert len(files) == 2
+    for path in files:
         there = tmp_path / path.relative_to(in_turn[0])
         there.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(path, there)

@@ -150,12 +150,12 @@ def test_hiding_channels_hides_them_from_everyone_but_not_from_the_score():
 def test_the_tables_of_a_small_run_name_every_contestant(tmp_path):
     size = hiera.HieraSize(
         seeds=(0,),
-        simulated=2,
+        simulated=1,
         virtual=1,
         rigs=("simulated", "virtual", "stranger"),
         trackers=("least_squares",),
         lost=(0.25,),
-        calibrating=4,
+        calibrating=2,
     )
     tables, left_out = hiera.measure(size, 0, tmp_path, lambda share, note: None)
     assert any("network" in line for line in left_out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from tests.twin.historian.made_defects import found_of, spoilt_store
 from tests.twin.historian.made_station import (
     START_S,
     ZONE,
+    Seeded,
     archived,
     clean_store,
     instruments,
@@ -27,6 +29,13 @@ def _found(store: list[Series], **options: object) -> Repaired:
     return find_and_repair(store, timezone=ZONE, pressure_kPa=95.0, **options)  # type: ignore[arg-type]
 
 
+@lru_cache(maxsize=2)
+def _spoilt(seed: int) -> tuple[Seeded, Repaired]:
+    """Return the defects of a store of thirty days, and what was found in it."""
+    store, seeded, events = spoilt_store(np.random.default_rng(seed), 30.0)
+    return seeded, _found(store, events=events)
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_clean_store_has_no_defect(seed: int) -> None:
     found = _found(clean_store(np.random.default_rng(seed), 30.0))
@@ -36,9 +45,8 @@ def test_a_clean_store_has_no_defect(seed: int) -> None:
 def test_seeded_defects_are_found_and_nothing_else() -> None:
     missed, false, seeded_in_all = [], [], 0
     for seed in (10, 11):
-        store, seeded, events = spoilt_store(np.random.default_rng(seed), 30.0)
-        repaired = _found(store, events=events)
-        findings = [(one.kind, one.tags, one.start_s, one.end_s) for one in repaired.defects]
+        seeded, repaired_store = _spoilt(seed)
+        findings = [(one.kind, one.tags, one.start_s, one.end_s) for one in repaired_store.defects]
         found, extra = found_of(seeded, findings)
         seeded_in_all += len(seeded.rows)
         missed += [seeded.rows[k] for k in range(len(seeded.rows)) if k not in found]
@@ -48,12 +56,11 @@ def test_seeded_defects_are_found_and_nothing_else() -> None:
 
 
 def test_clock_unit_and_swap_are_undone() -> None:
-    rng = np.random.default_rng(20)
-    plant = instruments(rng, 30.0)
+    plant = instruments(np.random.default_rng(11), 30.0)
     truth = {one.tag.name: one.truth for one in plant}
     noise = {one.tag.name: one.noise for one in plant}
-    store, seeded, events = spoilt_store(np.random.default_rng(20), 30.0)
-    repaired = {one.tag.name: one for one in _found(store, events=events).series}
+    seeded, repaired_store = _spoilt(11)
+    repaired = {one.tag.name: one for one in repaired_store.series}
     kinds = {kind: (tags, start, end) for kind, tags, start, end in seeded.rows}
     minutes = START_S + 60.0 * np.arange(len(truth["F1"]))
     for kind in ("unit_switch", "swap", "local_time"):
