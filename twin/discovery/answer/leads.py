@@ -77,5 +77,5 @@ def _simulated(case: AssessedFinding, record: Columns) -> Array:
     """Return the readings of the commissioned twin at the record's stamps (N, m), degC."""
     grid, probe = case.grid, case.known.probe
     readings = probe.run(grid, probe.first_state(grid)).readings
-    middle = grid.time + 0.5 * grid.step_s
-    return np.stack([np.interp(record.time_s, middle, each) for each in readings.T], axis=1)
+    stamps = grid.time + grid.centre * grid.step_s
+    return np.stack([np.interp(record.time_s, stamps, each) for each in readings.T], axis=1)

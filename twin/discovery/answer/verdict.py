@@ -250,7 +250,8 @@ def _run(finding: Finding, fitted: Fit, network: Network, grid: Grid) -> Array:
     model = Model.of(finding.score_test.probe, fitted.entries)
     sizes = np.array([[e.size for e in fitted.entries]])
     state = model.begun(grid.time, grid.inputs, grid.measured, fitted.state, fitted.values, grid.begins)
-    return centred(model.run(grid.time, grid.inputs, state[None], fitted.values[None, :], sizes, begins=grid.begins)[0])
+    (run,) = model.run(grid.time, grid.inputs, state[None], fitted.values[None, :], sizes, begins=grid.begins)
+    return centred(run, grid.centre)
 
 
 def _bigger(finding: Finding, network: Network, grid: Grid) -> Network:

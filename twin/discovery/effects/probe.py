@@ -36,7 +36,9 @@ _LEAST_WAY = 1.0e-9
 
 @dataclass(frozen=True)
 class FreeRun:
-    """Free run: `readings` (n, m) of the network's sensors and `temperatures` (n, k) of its nodes, degC."""
+    """Free run: `readings` (n, m) of the network's sensors at the mean times of the samples of the bins, and
+    `temperatures` (n, k) of its nodes, as means over the bins; degC.
+    """
 
     readings: Array
     temperatures: Array
@@ -98,8 +100,8 @@ class Probe:
     def run(self, grid: Grid, state: Array, values: Array | None = None, injected: Array | None = None) -> FreeRun:
         """Simulate freely from `state` (s * k,), with heat `injected` (n, k) W on top of the network's own."""
         readings = self._traced(self.values(values)[None, :], state[None, :], grid, self._inputs(grid, injected))
-        means = centred(readings[0])
-        return FreeRun(means[:, : self.m], means[:, self._reads])
+        read, temperatures = readings[0, :, : self.m], readings[0][:, self._reads]
+        return FreeRun(centred(read, grid.centre), centred(temperatures))
 
     def _traced(self, rows: Array, states: Array, grid: Grid, inputs: Array) -> Array:
         """Return the readings (P, n, m) with parameters `rows` (P, p), from `states` (P, s * k)."""
@@ -142,7 +144,7 @@ class Probe:
         change: Array = (readings[1:, :, : self.m] - readings[0, :, : self.m]) / scale[:, None, None]
         slopes = np.moveaxis(change, 0, 2)
         states = separate_columns(slopes[..., self.q :], grid.begins)
-        return centred(np.concatenate([slopes[..., : self.q], states], axis=2))
+        return centred(np.concatenate([slopes[..., : self.q], states], axis=2), grid.centre)
 
     def blocks(self, grid: Grid, state: Array, edges: np.ndarray, values: Array | None = None) -> Array:
         """Return the mean readings in each of b blocks for 1 W into one node during one block: (b, m, b, k) K/W.

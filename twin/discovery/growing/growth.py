@@ -219,7 +219,9 @@ def samples_of(network: Network, time_s: ArrayLike, inputs: ArrayLike, measured:
     least = (time[-1] - time[0]) / MOST_SAMPLES if len(time) > MOST_SAMPLES else 0.0
     grid = on_grid(network, time, inputs, measured, least)
     if least:
-        return SampledRecord(grid.time - grid.time[0], grid.inputs, grid.measured, grid.sigma, means=True)
+        return SampledRecord(
+            grid.time - grid.time[0], grid.inputs, grid.measured, grid.sigma, means=True, centre=grid.centre
+        )
     y = np.asarray(measured, dtype=np.float64)
     return SampledRecord(
         time - time[0], bridged(network, time, inputs), np.where(np.isfinite(y), y, np.nan), network.sigma

@@ -35,7 +35,7 @@ class SampledRecord:
     """Record at its own stamps: time (n,) s, inputs (n, c) without gaps, measured (n, m) degC or NaN, sigma (m,) K.
 
     With `at_rest` each row is a steady state and `time` is its number. `means`: the readings are means over bins that
-    begin at `time`.
+    begin at `time`; their samples lie on average `centre` steps later.
     """
 
     time: Array
@@ -44,6 +44,7 @@ class SampledRecord:
     sigma: Array
     at_rest: bool = False
     means: bool = False
+    centre: float = 0.5
 
     @property
     def span_s(self) -> float:
@@ -266,4 +267,4 @@ def readings_of(asked: Sequence[tuple[GrowthProblem, Array]]) -> Array:
         rows = np.array([o is one for o in own])
         part = full[np.ix_(rows, one.columns)], state[rows]
         found[rows] = one.kernel.trace(*part, samples.time, samples.inputs, FEW_LANES)[0]
-    return np.stack([centred(one) for one in found]) if samples.means else found
+    return np.stack([centred(one, samples.centre) for one in found]) if samples.means else found

@@ -112,7 +112,7 @@ def offer(
     state = known.probe.first_state(grid)
     state[: len(finding.state)] = finding.state + moved[known.probe.q :]
     run = simulate_segments(Kernel(bigger, ()), bigger.values[None], state[None], grid.time, grid.inputs, grid.begins)
-    read = centred(run[0])
+    read = centred(run[0], grid.centre)
     late = grid.measured[split:] - read[split:]
     after = np.sqrt(np.nansum(late**2, axis=0) / np.maximum(np.isfinite(late).sum(axis=0), 1))
     pairs = {n: (errors[n].means[1], float(after[j])) for j, n in enumerate(network.sensor_names) if n in errors}

@@ -7,7 +7,7 @@ a gap in the inputs the simulation restarts in a new segment (`twin.segments`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,7 +30,8 @@ class Grid:
     """Bins of `step_s`: `time` (n,) s at their beginnings, `inputs` (n, c), `measured` (n, m) degC with NaN.
 
     `sigma` (m,) is the white noise of a bin's mean, K. `begins`: bins at which segments begin, each with its own
-    initial state; states of a record are the node temperatures (s * k,), degC, at each of them.
+    initial state; states of a record are the node temperatures (s * k,), degC, at each of them. `centre`: mean time of a
+    bin's samples after its beginning, in steps: with one sample a bin, at its beginning, 0; with many, 1/2.
     """
 
     time: Array
@@ -39,6 +40,7 @@ class Grid:
     sigma: Array
     step_s: float
     begins: tuple[int, ...] = (0,)
+    centre: float = 0.5
 
     @property
     def segments(self) -> tuple[slice, ...]:
@@ -53,7 +55,9 @@ class Grid:
         """Return bins `first` to `last`, the latter excluded."""
         rows = slice(first, last)
         begins = (0, *(b - first for b in self.begins if first < b < last))
-        return Grid(self.time[rows], self.inputs[rows], self.measured[rows], self.sigma, self.step_s, begins)
+        return replace(
+            self, time=self.time[rows], inputs=self.inputs[rows], measured=self.measured[rows], begins=begins
+        )
 
 
 def on_grid(
@@ -102,7 +106,8 @@ def on_grid(
         if begins[-1] < first < bins:
             begins.append(first)
     u_means = _held_means(t, u, np.append(grid_time, grid_time[-1] + step), period)
-    return Grid(grid_time, u_means, mean, network.sigma / np.sqrt(per_bin), step, tuple(begins))
+    centre = float(np.mean((t - grid_time[where]) / step))
+    return Grid(grid_time, u_means, mean, network.sigma / np.sqrt(per_bin), step, tuple(begins), centre)
 
 
 def require_enough(network: Network, time_s: ArrayLike, measured: ArrayLike, least_s: float = BIN_S) -> None:
@@ -145,10 +150,14 @@ def _require_readings(y: Array) -> None:
         raise TwinFileError("the record has no reading of any of the twin's sensors; check the names of its columns")
 
 
-def centred(readings: Array) -> Array:
-    """Return means over the bins of simulated values (n, ...) at their beginnings."""
-    out = np.array(readings)
-    out[:-1] += 0.5 * (readings[1:] - readings[:-1])
+def centred(values: Array, centre: float = 0.5) -> Array:
+    """Return simulated values (n, ...) at the beginnings of bins as they are `centre` steps later.
+
+    The mean over a bin is the value at its middle. Readings are compared at the mean time of the samples of a bin, which
+    with few samples in it is earlier.
+    """
+    out = np.array(values)
+    out[:-1] += centre * (values[1:] - values[:-1])
     return out
 
 

@@ -207,8 +207,10 @@ def covariance_of(normal: Array, order: Array, firsts: tuple[int, int, int], spa
 def simulated(
     model: Model, grid: Grid, state: Array, values: Array, sizes: Array, shapes: tuple[tuple[Shape, ...], ...] | None
 ) -> Array:
-    """Return readings (P, n, m), degC, in the middle of a record's bins; arguments as those of `Model.run`."""
-    return _between(model.run(grid.time, grid.inputs, state, values, sizes, shapes, grid.begins))
+    """Return readings (P, n, m), degC, at the mean times of the samples of bins; arguments as those of `Model.run`."""
+    readings = model.run(grid.time, grid.inputs, state, values, sizes, shapes, grid.begins)
+    readings[:, :-1] += grid.centre * np.diff(readings, axis=1)
+    return readings
 
 
 def look_at(score_test: ScoreTest, model: Model, found: Fit) -> None:
@@ -222,12 +224,6 @@ def look_at(score_test: ScoreTest, model: Model, found: Fit) -> None:
 def _reached(shape: Shape, span_s: float) -> float:
     """Return the amplitude at the end of a record."""
     return shape.mean(span_s - 1.0, span_s)
-
-
-def _between(readings: Array) -> Array:
-    """Return the readings (P, n, m) in the middle of their bins, from those at the beginnings."""
-    readings[:, :-1] += 0.5 * np.diff(readings, axis=1)
-    return readings
 
 
 def _going_on(entry: Entry, span_s: float) -> Entry:

@@ -38,7 +38,7 @@ def validate(score_test: ScoreTest, model: Model, fitted: Fit) -> tuple[Fold, ..
     grid, sizes = score_test.grid, np.array([e.size for e in fitted.entries])
     at = fitted.state[None, :], fitted.values[None, :], sizes[None, :]
     runs = model.run(grid.time, grid.inputs, *at, begins=grid.begins)
-    readings = centred(runs[0])
+    readings = centred(runs[0], grid.centre)
     score_test.look_at(FreeRun(readings, readings), fitted.moved)
     b, m = score_test.b, score_test.m
     signatures = score_test.signatures(np.stack([e.placed(score_test) for e in fitted.entries]))
