@@ -113,3 +113,20 @@ def test_a_ramp_that_grew_to_the_end_of_the_fitted_part_grows_on(bench: Bench, h
     # What had ended well before is known to have ended.
     early = entry(part, ("sensor", "T_heater_C", "constant"), Shape("ramp", onset_s, 3600.0), 1.19)
     assert early.going_on(fitted_s, record_s) == early
+
+
+def test_the_squares_of_a_fit_are_no_staircase_in_the_onset(bench: Bench, healthy: Columns) -> None:
+    """What begins amid a bin is there for a share of it, so that each second of the onset moves the readings."""
+    record = bench.record(6.0)
+    grid = on_grid(bench.network, record.time_s, record.inputs, record.measured)
+    part = Part.of(basis(bench.network, healthy, grid), grid)
+    probe, state, values = part.basis.probe, part.state[None, :], bench.network.values[None, :]
+    seen = int(3060.0 / grid.step_s), bench.network.sensor_names.index("T_modules_C")
+    ends = []
+    for onset_s in np.arange(3001.0, 3010.0, 2.0).tolist():
+        heat = entry(part, ("heat_source", "modules", "constant"), Shape("step", onset_s), 500.0)
+        model = Model.of(probe, (heat,))
+        run = model.run(grid.time, grid.inputs, state.copy(), values, np.array([[500.0]]))[0]
+        ends.append(float(run[seen]))
+    steps = -np.diff(ends)
+    assert steps.min() > 0.0 and np.ptp(steps) < 0.3 * steps.mean()

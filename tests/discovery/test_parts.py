@@ -157,7 +157,7 @@ def test_a_law_says_what_the_element_itself_does(bench: Bench, healthy: Columns)
         told = (score_test._columns @ entry.placed(score_test).ravel()).reshape(score_test.b, score_test.m) * size
         values, sizes = network.values[None, :], np.array([[size]])
         with_it = model.run(grid.time, grid.inputs, state[None, :], values, sizes)[0]
-        with_it = centred(with_it)
+        with_it = centred(with_it, grid.centre)
         real = score_test.features(score_test.seen(with_it - run.readings)).reshape(score_test.b, score_test.m)
         scale = np.abs(real).max()
         off = np.abs(told - real).max() / scale

@@ -127,10 +127,16 @@ class Part:
         return [*best.values()]
 
     def late(self, onset_s: float) -> list[Entry]:
-        """Return the lags and delays at the size of highest evidence, from the beginning and from an onset."""
+        """Return the lags and delays at the size of highest evidence: from the beginning, from an onset, and from the
+        onset of their own evidence.
+
+        What leads the search so far may be of another kind, and its onset is none of theirs.
+        """
         found = []
         for law, entry in self.secants:
-            for since in {0.0, onset_s if onset_s > EARLY_S else 0.0}:
+            own = entry.shape.onset_s
+            apart = abs(own - onset_s) > self.score_test.step_s
+            for since in {0.0, *(s for s in (onset_s, own if apart else onset_s) if s > EARLY_S)}:
                 if since == 0.0 and math.isinf(law.candidate.lumped):
                     continue  # indistinguishable from the lag that a twin of mixed volumes lacks
                 begun = Entry(law, Shape("step", since), np.empty(0), entry.candidate.typical, 0.0, 0.0)

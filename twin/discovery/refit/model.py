@@ -261,13 +261,15 @@ class Model:
 def _cuts(since: Array, shapes: set[Shape], piece: float) -> np.ndarray:
     """Return the rows (c,) at which sizes change, and the end; a growing effect changes every `piece` s."""
     borders = {0.0}
-    short: set[float] = set()
+    sudden: set[float] = set()
     for shape in shapes:
         borders.add(min(shape.onset_s, float(since[-1])))
         if shape.name == "spell":
             borders.add(min(shape.onset_s + shape.growth_s, float(since[-1])))
+        if shape.name in ("step", "spell", "pulse"):
+            sudden.add(shape.onset_s)
         if shape.name in ("spell", "pulse"):
-            short |= {shape.onset_s, shape.onset_s + shape.growth_s}
+            sudden.add(shape.onset_s + shape.growth_s)
         if shape.name == "periodic":
             first = shape.onset_s - shape.into_s
             turns = np.arange(first, since[-1], max(shape.growth_s, piece))
@@ -276,7 +278,8 @@ def _cuts(since: Array, shapes: set[Shape], piece: float) -> np.ndarray:
             borders.update(min(shape.onset_s + shape.growth_s * f, float(since[-1])) for f in FADED)
         if shape.grows or shape.name == "pulse":
             borders.update(np.arange(piece * np.ceil(shape.onset_s / piece), since[-1], piece).tolist())
-    # What is soon over begins and ends amid a sample, of which it has the share that it is there.
-    amid = np.maximum(np.searchsorted(since, sorted(short)) - 1, 0)
+    # What begins or ends at once does so amid a sample, of which it has the share that it is there: the squares of a fit
+    # are no staircase in its onset.
+    amid = np.maximum(np.searchsorted(since, sorted(sudden)) - 1, 0)
     cuts = np.unique(np.concatenate([np.searchsorted(since, sorted(borders)), amid.astype(np.intp)]))
     return np.concatenate([cuts[cuts < len(since)], [len(since)]])
