@@ -30,8 +30,8 @@ class Grid:
     """Bins of `step_s`: `time` (n,) s at their beginnings, `inputs` (n, c), `measured` (n, m) degC with NaN.
 
     `sigma` (m,) is the white noise of a bin's mean, K. `begins`: bins at which segments begin, each with its own
-    initial state; states of a record are the node temperatures (s * k,), degC, at each of them. `centre`: mean time of a
-    bin's samples after its beginning, in steps: with one sample a bin, at its beginning, 0; with many, 1/2.
+    initial state; states of a record are the node temperatures (s * k,), degC, at each of them. `centre`: mean time of
+    a bin's samples after its beginning, in steps: with one sample a bin, at its beginning, 0; with many, 1/2.
     """
 
     time: Array
@@ -153,8 +153,8 @@ def _require_readings(y: Array) -> None:
 def centred(values: Array, centre: float = 0.5) -> Array:
     """Return simulated values (n, ...) at the beginnings of bins as they are `centre` steps later.
 
-    The mean over a bin is the value at its middle. Readings are compared at the mean time of the samples of a bin, which
-    with few samples in it is earlier.
+    The mean over a bin is the value at its middle. Readings are compared at the mean time of the samples of a bin,
+    which with few samples in it is earlier.
     """
     out = np.array(values)
     out[:-1] += centre * (values[1:] - values[:-1])

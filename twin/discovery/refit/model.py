@@ -278,8 +278,8 @@ def _cuts(since: Array, shapes: set[Shape], piece: float) -> np.ndarray:
             borders.update(min(shape.onset_s + shape.growth_s * f, float(since[-1])) for f in FADED)
         if shape.grows or shape.name == "pulse":
             borders.update(np.arange(piece * np.ceil(shape.onset_s / piece), since[-1], piece).tolist())
-    # What begins or ends at once does so amid a sample, of which it has the share that it is there: the squares of a fit
-    # are no staircase in its onset.
+    # What begins or ends at once does so amid a sample, of which it has the share that it is there: the squares of a
+    # fit are no staircase in its onset.
     amid = np.maximum(np.searchsorted(since, sorted(sudden)) - 1, 0)
     cuts = np.unique(np.concatenate([np.searchsorted(since, sorted(borders)), amid.astype(np.intp)]))
     return np.concatenate([cuts[cuts < len(since)], [len(since)]])
