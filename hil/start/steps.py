@@ -292,7 +292,7 @@ def _healthy_questions(course: Course) -> Asked:
 def _healthy(course: Course) -> list[Action]:
     answers = course.answers
     plant = course.simulated and not course.is_built_in
-    # A plant follows a twin, which a run without calibrators does not take; nothing is done with what they find.
+    # A simulated plant has the twin's parameters, and a run takes a twin only with a calibrator; no estimate is used.
     with_twin = ("--twin", answers["twin"], "--calibrator", "least_squares") if plant else ("--no-twin",)
     run = ("run", answers["healthy"], "--rig", course.rig, *course.simulated, *with_twin, "--runs", "runs/healthy")
     return [

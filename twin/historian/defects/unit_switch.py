@@ -350,6 +350,8 @@ def is_of_the_unit(x: Array, converted: Array, inside: Mask, witnesses: Array) -
         return False
     predict = RobustPredictor(witnesses)
     apart = _log_factor(value, span, predict)
+    if not np.isfinite(apart):
+        return False
     right = np.where(inside, np.nan, value)
     parts = np.array_split(rest, int(np.clip(len(rest) // len(span), *PARTS)))
     usual = 1.4826 * known_median(np.abs([_log_factor(right, part, predict) for part in parts]))
@@ -360,7 +362,8 @@ def is_of_the_unit(x: Array, converted: Array, inside: Mask, witnesses: Array) -
 
 
 def _log_factor(value: Array, rows: NDArray[np.intp], predict: RobustPredictor) -> float:
-    """Return the logarithm of the factor of some rows of values (m,) over what the others and the witnesses predict."""
+    """Return the logarithm of the factor of some rows of values (m,) over what the others and the witnesses predict;
+    infinite if they predict nothing above zero there."""
     factor = 0.0
     for _ in range(ROUNDS + 1):
         again = value.copy()

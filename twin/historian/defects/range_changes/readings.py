@@ -39,6 +39,7 @@ WEATHER = frozenset(
 )
 
 OF_WATER = ("water_inlet_temperature", "water_outlet_temperature", "basin_temperature")
+"""Thermometers of a cell that show the plant's water only while it flows."""
 FANS = ("fan_speed", "fan_power")
 LEAST = {"temperature": 1.5 * THERMOMETER_K, "share": 10.0}
 """Smallest leap by dimension, in the record's unit: beyond the largest bias that a calibration may find; of a humidity,

@@ -37,8 +37,10 @@ from twin.historian.units import unit_of
 
 @dataclass(frozen=True)
 class RangeChanges:
-    """Spans in which tags read on another scale: of the kind `range_change`, and those whose scale is of a unit; and
-    the series, mapped to their readings before."""
+    """Spans in which tags read on another scale: of the kind `range_change`, and those whose scale is of a unit.
+
+    `mapped`: all series, with the readings of these spans on the scale that they had before.
+    """
 
     ranges: tuple[Defect, ...]
     units: tuple[Switch, ...]
