@@ -230,6 +230,7 @@ def test_a_cell_whose_fan_trips_for_minutes_has_moved() -> None:
     made = [
         Instrument(Tag("XA1", "0/1", "fan_fault", 1, 60.0), trip, 0.0, 1.0, 0.5, "mcc"),
         Instrument(Tag("T1BAS", "degC", "basin_temperature", 1, 120.0), basin, 0.05, 0.01, 0.12, "plc1"),
+        Instrument(Tag("T3OUT", "degC", "water_outlet_temperature", 3, 120.0), basin, 0.05, 0.01, 0.12, "plc3"),
         Instrument(Tag("T2BAS", "degC", "basin_temperature", 2, 120.0), basin, 0.05, 0.01, 0.12, "plc2"),
     ]
     table = panel([archived(one, scanned(one, rng)) for one in made])
@@ -237,6 +238,7 @@ def test_a_cell_whose_fan_trips_for_minutes_has_moved() -> None:
     at_s = START_S + 2028 * 60.0
     assert others_moved(table, 1, at_s, unusual)  # of its own cell
     assert not others_moved(table, 2, at_s, unusual)
+    assert others_moved(table, 3, at_s, unusual)  # water of all cells is in the basin
     assert not others_moved(table, 1, at_s + 6 * 3600.0, unusual)
 
 

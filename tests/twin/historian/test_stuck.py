@@ -157,3 +157,19 @@ def test_a_power_that_stands_for_hours_while_its_fan_moves_is_stuck(moves: bool)
     fan = [_series("fan_speed", "Hz", speed), _series("fan_speed_command", "Hz", speed)]
     found = _stuck(_series("fan_power", "kW", power), *fan)
     assert [text.split(", ")[1].split()[:2] for text in found] == ([["while", "fan_speed"]] if moves else [])
+
+
+def test_a_run_that_one_of_many_tags_has_by_chance_is_no_stuck_value() -> None:
+    """Where one of fifty hourly samples repeats another, a tag of three hundred has four alike in one of 300 records.
+
+    So has a station of fifty tags in one of six; five alike are rare for it, too.
+    """
+    value = 24.0 + 0.01 * np.random.default_rng(41).permutation(300)
+    value[21:300:50] = value[20:299:50]
+    value[101:104] = value[100]
+    outlet = replace(_series("water_outlet_temperature", "degC", value), time_s=START_S + 3600.0 * np.arange(300))
+    many = [replace(outlet, tag=replace(outlet.tag, name=f"T{k}")) for k in range(50)]
+    assert len(_stuck(outlet)) == 1
+    assert _stuck(outlet, *many) == []
+    value[104] = value[100]
+    assert len(_stuck(outlet, *many)) == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -118,3 +119,41 @@ def test_two_cells_that_stand_for_hours_were_not_exchanged() -> None:
         panel.values[0, low:high], panel.values[1, low:high] = standing + 0.5 * off, standing - 0.5 * off
         invented += len(swapped(_series(panel)))
     assert invented == 0
+
+
+def _shared_basin(rng: np.random.Generator, hot: Sequence[int]) -> list[Series]:
+    """Return four cells that drain into a basin of two halves, and which of them is hot on each day.
+
+    Its fan stands; the fans of the others keep the mixture of all at one temperature.
+    """
+    n = DAY * len(hot)
+    excess = 4.0 + _rough(rng, n, 1.0)
+    outlets = np.tile(23.0 - excess / 3.0, (4, 1))
+    which = np.repeat(np.asarray(hot) - 1, DAY)
+    outlets[which, np.arange(n)] = 23.0 + excess
+    halves = outlets[:2].mean(axis=0), outlets[2:].mean(axis=0)
+    rows = [(f"T{k + 1}", "water_outlet_temperature", k + 1, outlets[k]) for k in range(4)]
+    rows += [(f"B{k + 1}", "basin_temperature", k + 1, 0.85 * halves[k // 2] + 0.15 * outlets[k]) for k in range(4)]
+    rows.append(("TSUP", "supply_temperature", None, np.full(n, 23.0)))
+    grid, good = START_S + STEP_S * np.arange(n), np.full(n, 192, dtype=np.int16)
+    return [
+        Series(Tag(name, "degC", role, cell, 120.0), grid, value + 0.05 * rng.standard_normal(n), good)
+        for name, role, cell, value in rows
+    ]
+
+
+def test_water_of_another_cell_in_a_shared_basin_exchanges_none_of_its_thermometers() -> None:
+    """The second cell warms the first one's half for days, as the third one does the fourth one's otherwise."""
+    hot = [3, 3, 3, 1, 3, 3, 3, 4] * 5
+    hot[22:26] = [2, 2, 2, 2]
+    series = _shared_basin(np.random.default_rng(5), hot)
+    assert swapped(series) == []
+    first, last = series[4], series[7]
+    low, high = 10 * DAY, 15 * DAY
+    for k, own, other in ((4, first, last), (7, last, first)):
+        value = own.value.copy()
+        value[low:high] = other.value[low:high]
+        series[k] = replace(own, value=value)
+    (found,) = swapped(series)
+    assert found.tags == ("B1", "B4")
+    assert abs(found.start_s - first.time_s[low]) < 3600.0 and abs(found.end_s - first.time_s[high]) < 3600.0

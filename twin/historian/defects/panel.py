@@ -14,6 +14,11 @@ from twin.historian.units import unit_of
 STEP_S = 900.0
 """Fine beside a basin's and a day's time constants, coarse beside the samples' two to five minutes."""
 ROUNDS = 4
+BASIN, OUTLET = "basin_temperature", "water_outlet_temperature"
+OF_WATER = ("water_inlet_temperature", OUTLET, BASIN)
+"""Thermometers of a cell that show the plant's water only while it flows."""
+SMALLEST_WORK = 0.1
+"""Share of the 95 % quantile of a flow, power or pressure below which it is at rest."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +28,10 @@ class TagPanel:
     series: tuple[Series, ...]
     grid_s: Array
     values: Array
+
+    def between(self, rows: slice) -> TagPanel:
+        """Return the values of some rows."""
+        return TagPanel(self.series, self.grid_s[rows], self.values[:, rows])
 
 
 def panel(series: Sequence[Series], step_s: float = STEP_S) -> TagPanel:
@@ -39,6 +48,45 @@ def on_grid(series: Series, grid_s: Array) -> Array:
     """Return a tag in the record's unit at `grid_s`."""
     unit = unit_of(series.tag.unit)
     return np.asarray(unit.scale * series.at(grid_s, 1.2 * longest_interval_s(series)) + unit.offset)
+
+
+def stands(one: Series, others: Sequence[Series], time_s: Array) -> Mask:
+    """Return the times (n,) at which no water passes a cell's thermometer of water, so that no other tag follows it.
+
+    The state of the cell tells it, or its flow; where neither is known, it is taken to work.
+    """
+    own = one.tag
+    none = np.zeros(len(time_s), dtype=bool)
+    if own.role not in OF_WATER or own.cell is None:
+        return none
+    of_cell = {other.tag.role: other for other in others if other.tag.cell == own.cell and len(other.time_s) > 1}
+    other = of_cell.get("cell_in_service", of_cell.get("water_flow"))
+    if other is None:
+        return none
+    value = np.abs(other.at(time_s, 1.2 * longest_interval_s(other)))
+    state = other.tag.role == "cell_in_service"
+    rest = 0.5 if state else SMALLEST_WORK * float(np.quantile(np.abs(other.value), 0.95))
+    return np.asarray(value < rest)
+
+
+def basin_inflows(table: TagPanel, without: Sequence[int]) -> Array:
+    """Return what a thermometer of a basin follows beside the tags of its own cell (k, m), in K and degC.
+
+    The water of a basin comes from all of its cells: of each, the outlet above the basin as a whole where its water
+    flows, and 0 where it stands; and the other cells' thermometers of the basin. `without`: tags that are judged.
+    """
+    use = [j for j in range(len(table.series)) if j not in without]
+    basins = [j for j in use if table.series[j].tag.role == BASIN]
+    whole = [j for j in use if table.series[j].tag.role == "supply_temperature"] or basins
+    rows = [table.values[j] for j in basins]
+    if whole:
+        known = np.isfinite(table.values[whole])
+        total = np.where(known, table.values[whole], 0.0).sum(axis=0)
+        level = np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
+        for j in use:
+            if table.series[j].tag.role == OUTLET:
+                rows.append(np.where(stands(table.series[j], table.series, table.grid_s), 0.0, table.values[j] - level))
+    return np.stack(rows) if rows else np.zeros((0, len(table.grid_s)))
 
 
 def design_matrix(values: Array) -> Array:

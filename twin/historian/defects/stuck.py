@@ -28,8 +28,9 @@ STEP = 2.0
 MOST = 8
 """Stuck runs of a tag in a season; more are its habit."""
 MEASURED = frozenset({"temperature", "mass flow", "power", "pressure", "speed", "angle", "frequency"})
-CHANCE = 0.005
-"""Largest expected number of such runs in the tag's record by chance."""
+CHANCE = 0.05
+"""Largest expected number of such runs by chance in the season of a station, so that one of twenty has one; each of its
+measured tags has an equal share."""
 AROUND_S = 2.0 * 3600.0
 LIVELY = 20.0
 """Expected samples, by the rates on either side, from which standing still is improbable: exp(-20) for a Poisson
@@ -123,11 +124,12 @@ def stuck_values(series: Series, others: Sequence[Series] = ()) -> list[Defect]:
     top = float(np.quantile(np.abs(series.value), 0.98))
     at_work = np.abs(value) > AT_REST * top
     chosen = _set_off(held, at_work)
+    chance = CHANCE / max(sum(is_measured(one) for one in others), 1)
     # A latched humidity stands at its end, where it also rests in fog; the other sensor decides.
     saturates = "humidity" not in series.tag.role
     for k in chosen:
         lively = _expected(series.time_s, float(start[k]), float(end[k])) > LIVELY
-        if not lively and _by_chance(series, first, last, at_work, k) > CHANCE:
+        if not lively and _by_chance(series, first, last, at_work, k) > chance:
             continue
         may_latch = not saturates and unit_of(series.tag.unit).scale * value[k] >= SATURATED
         if (not may_latch and _rests(value, held, k, top)) or (saturates and _at_end(value, k)):

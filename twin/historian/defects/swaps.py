@@ -16,9 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.historian.defects.panel import (
+    BASIN,
     STEP_S,
     RobustPredictor,
     TagPanel,
+    basin_inflows,
     design_matrix,
     largest_sum,
     moving_mean,
@@ -143,7 +145,10 @@ def _pair(table: TagPanel, j: int, k: int, events: Sequence[Event]) -> list[_Hit
         and one.tag.cell in (None, first.cell, second.cell)
         and unit_of(one.tag.unit).dimension not in ("angle", "state")
     ]
-    predict = RobustPredictor(design_matrix(table.values[drivers]))
+    values = table.values[drivers]
+    if BASIN in (first.role, second.role):
+        values = np.concatenate([values, basin_inflows(table, (j, k))])
+    predict = RobustPredictor(design_matrix(values))
     difference = table.values[j] - table.values[k]
     if np.isfinite(difference).sum() < 200:
         return []

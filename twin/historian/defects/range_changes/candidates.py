@@ -7,18 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.historian.defects.panel import TagPanel, known_median
+from twin.historian.defects.panel import SMALLEST_WORK, TagPanel, known_median, stands
 from twin.historian.defects.range_changes.readings import (
     FANS,
     LEAST,
     LEAST_KPA,
-    SMALLEST_WORK,
     canonical,
     is_ratio,
     is_witnessed,
     law_ratio,
     least_ratio,
-    stands,
 )
 from twin.historian.tags import Array, Series
 from twin.historian.units import unit_of
@@ -84,7 +82,7 @@ def leap_candidates(table: TagPanel, k: int) -> list[LeapCandidate]:
     elif is_ratio(series):
         rest = max(SMALLEST_WORK * float(np.quantile(np.abs(x), 0.95)), 1e-9)
         x, least = np.where(x > rest, np.log(np.maximum(x, rest)), np.nan), least_ratio(series)
-    work = np.flatnonzero(np.isfinite(x) & ~stands(table, k, series.time_s))
+    work = np.flatnonzero(np.isfinite(x) & ~stands(series, table.series, series.time_s))
     if len(work) < FEWEST:
         return []
     ends = np.concatenate([[0], np.cumsum(series.broken())])

@@ -6,7 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.historian.defects.panel import RobustPredictor, TagPanel, design_matrix, known_median
+from twin.historian.defects.panel import (
+    BASIN,
+    SMALLEST_WORK,
+    RobustPredictor,
+    TagPanel,
+    basin_inflows,
+    design_matrix,
+    known_median,
+    stands,
+)
 from twin.historian.defects.range_changes.candidates import LAW_APART, LAW_S, USUAL, LeapCandidate
 from twin.historian.defects.range_changes.maps import (
     BACK,
@@ -21,14 +30,12 @@ from twin.historian.defects.range_changes.readings import (
     FANS,
     LEAST,
     LEAST_KPA,
-    SMALLEST_WORK,
     WEATHER,
     canonical,
     is_ratio,
     law_ratio,
     least_ratio,
     related,
-    stands,
 )
 from twin.historian.tags import Array, Mask, Series
 from twin.historian.units import unit_of
@@ -147,9 +154,13 @@ def _witnesses(table: TagPanel, k: int, rows: slice) -> Array:
     drivers = [
         j
         for j, one in enumerate(table.series)
-        if j != k and unit_of(one.tag.unit).dimension != "angle" and related(table, k, j)
+        if j != k
+        and unit_of(one.tag.unit).dimension != "angle"
+        and (one.tag.cell in (None, tag.cell) or tag.cell is None)
     ]
     values = [table.values[j, rows] for j in drivers]
+    if tag.role == BASIN:
+        values += list(basin_inflows(table.between(rows), (k,)))
     for j in drivers:
         role = table.series[j].tag.role
         if tag.role == "fan_power" and role.startswith("fan_speed"):
@@ -218,7 +229,7 @@ def _judged_over(
     x = table.values[k, rows]
     if rest is not None:
         x = np.where(np.abs(x) > rest, x, np.nan)
-    x = np.where(stands(table, k, grid[rows]), np.nan, x)
+    x = np.where(stands(series, table.series, grid[rows]), np.nan, x)
     x = np.where((grid[rows] > before_s) & (grid[rows] < after_s), np.nan, x)
     after = grid[rows] >= after_s
     if _fewest(x, after) < (HIDDEN_ROWS if at.hidden else LEAST_ROWS):

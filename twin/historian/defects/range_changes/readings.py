@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from twin.historian.checks import FAN_APART, THERMOMETER_K
-from twin.historian.defects.panel import TagPanel
-from twin.historian.tags import Array, Mask, Series, longest_interval_s
+from twin.historian.defects.panel import BASIN, SMALLEST_WORK, TagPanel
+from twin.historian.tags import Array, Series, longest_interval_s
 from twin.historian.units import unit_of
 
 WITNESSED = frozenset(
@@ -38,8 +38,6 @@ WEATHER = frozenset(
     }
 )
 
-OF_WATER = ("water_inlet_temperature", "water_outlet_temperature", "basin_temperature")
-"""Thermometers of a cell that show the plant's water only while it flows."""
 FANS = ("fan_speed", "fan_power")
 LEAST = {"temperature": 1.5 * THERMOMETER_K, "share": 10.0}
 """Smallest leap by dimension, in the record's unit: beyond the largest bias that a calibration may find; of a humidity,
@@ -48,14 +46,15 @@ LEAST_SHARE = 0.15
 """Smallest leap of a flow, power or pressure as a share of the reading: flow meters drift by a third of it."""
 LEAST_KPA = 2.0
 """Smallest leap of a barometer, ten times what the weather does in an hour."""
-SMALLEST_WORK = 0.1
-"""Share of the 95 % quantile of a flow, power or pressure below which it is at rest."""
 
 
 def related(table: TagPanel, k: int, j: int) -> bool:
-    """Return whether two tags are of one cell, or one of them of the station."""
+    """Return whether a tag `k` may follow a tag `j`: of one cell, one of them of the station, or a basin of all cells.
+
+    The water of a basin comes from all of its cells, so that any of them moves its thermometers.
+    """
     cells = table.series[k].tag.cell, table.series[j].tag.cell
-    return None in cells or cells[0] == cells[1]
+    return None in cells or cells[0] == cells[1] or table.series[k].tag.role == BASIN
 
 
 def canonical(series: Series) -> Array:
@@ -66,25 +65,6 @@ def canonical(series: Series) -> Array:
 def is_ratio(series: Series) -> bool:
     """Return True for a quantity whose changes count as shares of it."""
     return unit_of(series.tag.unit).dimension not in LEAST and series.tag.role != "barometric_pressure"
-
-
-def stands(table: TagPanel, k: int, time_s: Array) -> Mask:
-    """Return the times (n,) at which no water passes a cell's thermometer of water, so that no other tag follows it.
-
-    The state of the cell tells it, or its flow; where neither is known, it is taken to work.
-    """
-    own = table.series[k].tag
-    none = np.zeros(len(time_s), dtype=bool)
-    if own.role not in OF_WATER or own.cell is None:
-        return none
-    of_cell = {one.tag.role: one for one in table.series if one.tag.cell == own.cell}
-    other = of_cell.get("cell_in_service", of_cell.get("water_flow"))
-    if other is None:
-        return none
-    value = np.abs(other.at(time_s, 1.2 * longest_interval_s(other)))
-    state = other.tag.role == "cell_in_service"
-    rest = 0.5 if state else SMALLEST_WORK * float(np.quantile(np.abs(other.value), 0.95))
-    return np.asarray(value < rest)
 
 
 def _of_its_fan(table: TagPanel, k: int) -> Array:

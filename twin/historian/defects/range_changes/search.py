@@ -24,11 +24,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.historian.defects.panel import TagPanel, on_grid, panel
+from twin.historian.defects.panel import SMALLEST_WORK, TagPanel, on_grid, panel
 from twin.historian.defects.range_changes.candidates import MOST, leap_candidates, splits_best
 from twin.historian.defects.range_changes.judgement import judged_leap, others_moved, return_map, unusual_changes
 from twin.historian.defects.range_changes.maps import Leap
-from twin.historian.defects.range_changes.readings import FANS, SMALLEST_WORK, WITNESSED, is_ratio, law_ratio, related
+from twin.historian.defects.range_changes.readings import FANS, WITNESSED, is_ratio, law_ratio, related
 from twin.historian.defects.range_changes.spans import defect_of, scale_spans, unit_of_span
 from twin.historian.defects.unit_switch import Switch
 from twin.historian.tags import Array, Defect, Series
@@ -87,7 +87,7 @@ def range_changes(
         _, _, k, leap = surest
         leaps[k].append(leap)
         table = _mapped(table, k, leap)
-        anew = [j for j in judged if related(table, k, j)]
+        anew = [j for j in judged if related(table, j, k)]
     spans = [(k, one) for k, found in leaps.items() for one in scale_spans(table.series[k], found)]
     units = {id(span): unit_of_span(table, k, span, full_speed) for k, span in spans}
     return RangeChanges(
