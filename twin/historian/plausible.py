@@ -63,6 +63,9 @@ COUNTED = ("mass flow", "power")
 PARTS, FEWEST_STEPS, MOST_WRAPS = 4, 50, 0.25
 """Parts of a record, changes in one, and share of falls in a counter that begins anew: noise has as many falls as
 rises, fifty rises in a row by chance once in 1e15."""
+SEGMENTS = 20
+"""Segments of a record, of the same number of samples at work: a flow that is usual in one of them was in its unit
+then, so that all of the record is in no other."""
 LIKELY_FLOW = (0.5, 1.5)
 """The same of most plants: beyond, a flow is named where another unit brings it there."""
 SHOWN = 3
@@ -117,6 +120,11 @@ def in_usual_units(
         fitting = _fitting(one.tag, values, usual, full_speed)
         if one.tag.role == "water_flow" and design_flow_kg_s:
             run = USUAL_FLOW[0] * design_flow_kg_s, USUAL_FLOW[1] * design_flow_kg_s
+            in_time = _at_work(one.value[one.good][np.argsort(one.time_s[one.good], kind="stable")])
+            segments = np.array_split(in_time, SEGMENTS) if len(in_time) >= SEGMENTS * FEWEST else []
+            if any(_share(part, unit, run) > 1.0 - LEAST_SHARE for part in segments):
+                kept.append(one)
+                continue
             if _share(values, unit, run) < LEAST_SHARE and (better := _fitting(one.tag, values, run, full_speed)):
                 usual, fitting = run, better
             elif doubt := _flow_in_doubt(one.tag, values, unit, design_flow_kg_s):

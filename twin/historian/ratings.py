@@ -25,8 +25,9 @@ CERTAIN = 2.0
 LATENT_KJ_KG = 2430.0
 """Heat of evaporation of water at 30 degC (IAPWS-IF97)."""
 CP_KJ_KG_K = 4.18
-PARTS = 4
-"""Parts of a record in which a ratio must be alike."""
+PARTS = 8
+"""Parts of a record in which a ratio must be alike: four days of a month, which average over a day and a filling of the
+basin."""
 MOSTLY = 0.8
 """Share of the hours in which temperatures of the air are possible in a unit."""
 NO_CLOSURE_K, CLOSURE_SHARE = 1.0, 0.25
@@ -196,11 +197,14 @@ def _of_heat(
     # Cells that are not recorded may carry nothing, or as much each.
     low, high = 1.0 / CERTAIN, CERTAIN * max((ratings.cells or 0) / len(whole), 1.0)
     flows = [of["water_flow", cell] for cell in whole]
+    near = _near_design(flows, ratings)
+    if any(near) and not all(near):
+        return []  # the flows contradict each other, so that the heat is not known
     found = []
     if (load := of.get(("station_heat_load", None))) is not None:
         ratio = _ratio(_hourly(load, grid), heat)
-        of_flows = _nearer_to_design(flows, ratings)
-        found += _blamed(ratio, (low, high), ((load,), 1.0), (flows, -1.0) if of_flows else None, LOAD)
+        of_flows = (flows, -1.0) if near and not any(near) else None
+        found += _blamed(ratio, (low, high), ((load,), 1.0), of_flows, LOAD)
     water = [of.get((f"{name}_flow", None)) for name in ("makeup", "blowdown")]
     makeup, blowdown = water
     if makeup is not None and not any(one.units for one in found):
@@ -221,7 +225,8 @@ def _of_pumps(
     found = []
     power, pressure = of.get(("pump_power", None)), of.get(("header_pressure", None))
     flows = [of["water_flow", cell] for cell in cells if ("water_flow", cell) in of]
-    if power is not None and pressure is not None and flows:
+    near = _near_design(flows, ratings)
+    if power is not None and pressure is not None and flows and any(near) == all(near):
         grid = np.arange(power.time_s[0], power.time_s[-1], HOUR_S)
         flow = np.sum([_hourly(one, grid) for one in flows], axis=0)
         work = _hourly(pressure, grid) * flow / WATER_DENSITY
@@ -302,12 +307,13 @@ def _says(one: Series, ratio: float, what: str, first: tuple[Sequence[Series], f
     return f"{one.tag.name} is {ratio:.3g} times {against}"
 
 
-def _nearer_to_design(flows: Sequence[Series], ratings: Ratings) -> bool:
-    """Return whether flows are far below or above the design flow: they may be in another unit."""
+def _near_design(flows: Sequence[Series], ratings: Ratings) -> list[bool]:
+    """Return whether each flow that is not at rest throughout is near the design flow: another unit is far below or
+    above. Nothing without a design flow."""
     if ratings.water_flow_kg_s is None:
-        return False
+        return []
     at_work = [np.quantile(unit_of(one.tag.unit).scale * one.value, 0.9) / ratings.water_flow_kg_s for one in flows]
-    return not 1.0 / CERTAIN <= float(np.median(at_work)) <= CERTAIN
+    return [bool(1.0 / CERTAIN <= share <= CERTAIN) for share in at_work if share > 0.0]
 
 
 def _ratio(value: Array, heat: Array) -> float:
@@ -322,8 +328,10 @@ def _ratio(value: Array, heat: Array) -> float:
     if not (sums[:, 1] > 0.0).all():
         return float("nan")
     parts, ratio = sums[:, 0] / sums[:, 1], float(sums[:, 0].sum() / sums[:, 1].sum())
-    alike = np.abs(parts - ratio) <= (CERTAIN - 1.0) * abs(ratio)
-    return ratio if alike.all() and (parts >= ratio / CERTAIN if ratio > 0.0 else alike).all() else float("nan")
+    if ratio > 0.0:
+        # Between two parts no plant's own faults make this factor, so that one unit in both would.
+        return ratio if 0.0 < parts.max() <= CERTAIN * parts.min() else float("nan")
+    return ratio if (np.abs(parts - ratio) <= (CERTAIN - 1.0) * abs(ratio)).all() else float("nan")
 
 
 def _hourly(series: Series, grid: Array) -> Array:

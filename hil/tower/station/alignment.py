@@ -284,6 +284,9 @@ def event_entry(event: Event) -> dict[str, Any]:
     """Return an event as `station.json` holds it, with its influence period and the parameters that it may change."""
     influence = influence_of(event.kind, event.text)
     low, high = event.window_s
+    work_s = 3600.0 * influence.hours
+    # An entry by the day may be dated at the end of the work as well as at its beginning.
+    begins = low - work_s if event.by_day else low
     return {
         "time": iso(event.time_s),
         "by_day": event.by_day,
@@ -291,7 +294,7 @@ def event_entry(event: Event) -> dict[str, Any]:
         "kind": event.kind,
         "source": event.source,
         "text": event.text,
-        "from": iso(low),
-        "to": iso(high + 3600.0 * influence.hours),
+        "from": iso(begins),
+        "to": iso(high + work_s),
         "parameters": list(influence.parameters),
     }

@@ -339,7 +339,9 @@ def _openings(events: tuple[Event, ...], cell: int) -> tuple[Opening, ...]:
             continue
         influence = influence_of(event.kind, event.text)
         low, high = event.window_s
-        found += [Opening(low, high + 3600.0 * influence.hours, name) for name in influence.parameters]
+        work_s = 3600.0 * influence.hours
+        begins = low - work_s if event.by_day else low
+        found += [Opening(begins, high + work_s, name) for name in influence.parameters]
     return tuple(found)
 
 

@@ -14,7 +14,9 @@ from hil.record import RecordError
 from hil.review import write_tower_review
 from hil.tower.governance.events_file import event_lines, read_events, write_events
 from hil.tower.station import StationNotes, iso
+from hil.tower.station.alignment import event_entry
 from tests.hil.tower.made_plant import run
+from twin.historian.events import Event
 from twin.historian.regimes import Regime
 from twin.tower.change_detection import Step
 
@@ -124,3 +126,12 @@ def test_the_review_shows_events_of_the_cell_and_the_station(folder: Path, plant
     states = {word for _, word in read_words(tmp_path / "review.rrd", "/tower/cell1/events/maintenance")}
     assert states == {"cleaning", None}
     assert not read_words(tmp_path / "review.rrd", "/tower/cell1/events/found")
+
+
+def test_an_entry_by_the_day_may_be_of_the_end_of_the_work() -> None:
+    """Cleaning takes up to a day, and the date is up to three days off; a trip has its minute."""
+    day = 86400.0
+    by_day = event_entry(Event(1000.0 * day, True, 1, "cleaning", "CMMS", "fill washed"))
+    assert (by_day["from"], by_day["to"]) == (iso(996.0 * day), iso(1005.0 * day))
+    trip = event_entry(Event(1000.0 * day, False, 1, "fan_trip", "DCS"))
+    assert (trip["from"], trip["to"]) == (iso(1000.0 * day), iso(1000.0 * day + 4.0 * 3600.0))

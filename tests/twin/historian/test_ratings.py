@@ -88,6 +88,21 @@ def test_a_meter_whose_range_changed_is_in_no_other_unit_throughout(clean: list[
         assert left_out == set() and remarks == ""
 
 
+@pytest.mark.parametrize(("factor", "since"), [(2.2, 0.05), (3.0, 0.12), (3.6, 0.12), (3.6, 0.25)])
+def test_a_flow_in_another_unit_for_most_of_the_record_leaves_out_no_tag(factor: float, since: float) -> None:
+    """It was right before, so that the edge tells its span; by their sum the other cell's flow is not judged."""
+    clean = clean_store(np.random.default_rng(5), 20.0)
+    series = [
+        replace(one, value=np.where(np.arange(len(one.value)) > since * len(one.value), factor * one.value, one.value))
+        if one.tag.name == "F1"
+        else one
+        for one in clean
+    ]
+    kept, remarks = in_usual_units(series, {}, RATINGS)
+    assert {one.tag.name for one in kept} == {one.tag.name for one in series}
+    assert not any("F2" in one for one in remarks)
+
+
 @pytest.mark.parametrize("factor", [10.0, 0.1])
 @pytest.mark.parametrize("late", [True, False])
 def test_the_wrong_part_of_an_exchanged_flow_meter_is_left_out(clean: list[Series], factor: float, late: bool) -> None:

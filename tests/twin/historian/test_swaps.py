@@ -63,6 +63,23 @@ def test_a_swap_of_thermometers_that_drift_apart_is_found_with_its_edges() -> No
     assert abs(found.start_s - panel.grid_s[low]) < 86400.0 and abs(found.end_s - panel.grid_s[high]) < 2 * 86400.0
 
 
+def test_a_pair_that_was_exchanged_back_is_not_exchanged_again_with_fewer_witnesses() -> None:
+    """What is left of the tags that predict it may contradict the right values; one entry is of one exchange."""
+    panel = _panel(np.random.default_rng(1), 60, 0.0)
+    low, high = 20 * DAY, 28 * DAY
+    (first,) = swapped(_swapped_at(panel, low, high), [_entry(panel, low)])
+    contradicted = _swapped_at(panel, low, high - 4 * DAY)
+    assert len(swapped(contradicted, [_entry(panel, low)])) == 1
+    assert swapped(contradicted, [_entry(panel, low)], [first]) == []
+
+
+def _swapped_at(panel: TagPanel, low: int, high: int) -> list[Series]:
+    """Return the samples with the outlets exchanged between two rows."""
+    values = panel.values.copy()
+    values[:2, low:high] = values[1::-1, low:high].copy()
+    return [replace(one, value=row) for one, row in zip(panel.series, values, strict=True)]
+
+
 def test_an_edge_does_not_move_over_days_of_right_values() -> None:
     panel = _panel(np.random.default_rng(2), 45, 0.0)
     low, high = 17 * DAY, 25 * DAY

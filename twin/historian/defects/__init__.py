@@ -132,7 +132,7 @@ def find_and_repair(
             break
         # A witness that was swapped or in another range hid changes of the tags that it predicts.
         more = unit_switches(series, full_speed, edges)
-        series, new = _swaps_and_ranges([_converted(one, more) for one in series], events, full_speed)
+        series, new = _swaps_and_ranges([_converted(one, more) for one in series], events, full_speed, found)
         new = [*(switch.defect for switch in more), *new]
         found += new
     return Repaired(
@@ -143,10 +143,10 @@ def find_and_repair(
 
 
 def _swaps_and_ranges(
-    series: list[Series], events: Sequence[Event], full_speed: str
+    series: list[Series], events: Sequence[Event], full_speed: str, before: Sequence[Defect] = ()
 ) -> tuple[list[Series], list[Defect]]:
     """Return the series with swaps and changes of unit undone and without changed ranges, and these defects."""
-    swaps = swapped(series, events)
+    swaps = swapped(series, events, [one for one in before if one.kind == "swap"])
     for defect in swaps:
         series = undo_swap(series, defect)
     changes = range_changes(series, full_speed=full_speed)

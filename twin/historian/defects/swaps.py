@@ -53,11 +53,20 @@ MOST, MOST_PAIRS = 3, 6
 """Swaps of a pair in a record, and pairs that were swapped."""
 
 
-def swapped(series: Sequence[Series], events: Sequence[Event] = ()) -> list[Defect]:
+def swapped(series: Sequence[Series], events: Sequence[Event] = (), before: Sequence[Defect] = ()) -> list[Defect]:
     """Return the pairs of temperatures or flows that carry each other's values, and from when to when.
 
     A swapped pair reverses the prediction of the pairs beside it, too. So the pair of most evidence, of those that an
     entry names first, is exchanged back before the others are judged.
+
+    Parameters
+    ----------
+    series
+        Samples in which the swaps `before` are undone.
+    events
+        Entries of maintenance.
+    before
+        Swaps that were found when the series held more of the witnesses; their pairs are not exchanged again.
     """
     found: list[Defect] = []
     for _ in range(MOST_PAIRS):
@@ -68,7 +77,8 @@ def swapped(series: Sequence[Series], events: Sequence[Event] = ()) -> list[Defe
         for j, k in itertools.combinations(range(len(table.series)), 2):
             names = {table.series[j].tag.name, table.series[k].tag.name}
             # A pair that was exchanged back once is not exchanged again.
-            if _exchangeable(table.series[j], table.series[k]) and not any(names == set(one.tags) for one in found):
+            again = any(names == set(one.tags) for one in (*before, *found))
+            if not again and _exchangeable(table.series[j], table.series[k]):
                 hits += _pair(table, j, k, events)
         if not hits:
             break
