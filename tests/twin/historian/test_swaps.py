@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from twin.historian.defects.panel import STEP_S, TagPanel
-from twin.historian.defects.swaps import swapped
+from twin.historian.defects.swaps import _Span, swapped
 from twin.historian.events import Event
 from twin.historian.tags import Array, Series, Tag
 
@@ -174,3 +174,11 @@ def test_water_of_another_cell_in_a_shared_basin_exchanges_none_of_its_thermomet
     (found,) = swapped(series)
     assert found.tags == ("B1", "B4")
     assert abs(found.start_s - first.time_s[low]) < 3600.0 and abs(found.end_s - first.time_s[high]) < 3600.0
+
+
+def test_an_edge_that_moves_beyond_the_other_one_moves_neither() -> None:
+    """The rows between the beginning and its new place are right, those between the end and its new place are, too."""
+    wanted = np.sin(np.arange(400) / 5.0)
+    changes = wanted.copy()
+    span = _Span(100, 120, 80.0, changes, wanted)
+    assert span.moved(100, 120, 150, 300) == (100, 120)

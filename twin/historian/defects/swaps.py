@@ -42,6 +42,8 @@ BEYOND = 3.0
 are pairs and spans of a station."""
 DAY_S = 86400.0
 ROUNDS = 4
+LEAST_ROWS = 8
+"""Rows (two hours) of the shortest span that is looked at."""
 AROUND_ROWS = 2000
 """Rows (three weeks) on either side of a swap from which its edges are refined."""
 JUMP_ROWS = 4
@@ -246,13 +248,14 @@ class _Span:
 
     def moved(self, low: int, high: int, new_low: int, new_high: int) -> tuple[int, int]:
         """Return the new edges, or the old one where the changes of the rows between the two speak against a move."""
-        if new_high - new_low < 8:
+        if new_high - new_low < LEAST_ROWS:
             return low, high
         if self._right(new_low, low) if new_low < low else self._exchanged(low, new_low):
             new_low = low
         if self._right(high, new_high) if new_high > high else self._exchanged(new_high, high):
             new_high = high
-        return new_low, new_high
+        # One edge alone may have moved beyond the other.
+        return (new_low, new_high) if new_high - new_low >= LEAST_ROWS else (low, high)
 
     def _right(self, low: int, high: int) -> bool:
         """Return whether the changes between two rows go with the predicted ones, beyond chance."""
@@ -285,7 +288,7 @@ def _span(difference: Array, predict: RobustPredictor, *, daily: bool) -> _Span 
         if np.array_equal(again, mask):
             break
         mask = again
-    if high - low < 8:
+    if high - low < LEAST_ROWS:
         return None
     return _Span(low, high, total, changes, predicted - moving_mean(predicted, half))
 
