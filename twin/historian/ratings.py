@@ -150,7 +150,8 @@ def _alike(ratios: Array) -> float | None:
     if len(ratios) < FEWEST:
         return None
     parts, whole = [float(np.median(part)) for part in np.array_split(ratios, PARTS)], float(np.median(ratios))
-    return whole if all(whole / CERTAIN <= part <= whole * CERTAIN for part in parts) else None
+    # What changed in the middle of the record is no unit of all of it.
+    return whole if max(parts) <= (1.0 + FAN_APART) * min(parts) else None
 
 
 def _share_of_full(series: Series, value: Array, full_speed: str) -> Array:

@@ -151,7 +151,7 @@ def _show(cells: Sequence[CellGovernance], path: Path) -> None:
     from rich.table import Table
 
     from hil.run.session import console
-    from hil.tower import iso, step_sentence
+    from hil.tower import step_sentence
     from twin.tower import DEVIATIONS
     from twin.tower.calibration import NORMAL
 
@@ -177,8 +177,8 @@ def _show(cells: Sequence[CellGovernance], path: Path) -> None:
         for step in one.result.steps:
             if step.lasting:
                 terminal.print(f"cell {one.result.cell}: {step_sentence(step)}", markup=False, soft_wrap=True)
-        for time_s, names in one.alarms:
-            terminal.print(f"cell {one.result.cell}: drift alarm at {iso(time_s)}: {', '.join(names)}", markup=False)
+        for text in one.alarm_lines:
+            terminal.print(f"cell {one.result.cell}: {text}", markup=False, soft_wrap=True)
         if refused := one.low_sensitivity:
             terminal.print(f"cell {one.result.cell}: {refused}", markup=False, soft_wrap=True)
         if one.network is not None and one.network.blind:

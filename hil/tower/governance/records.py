@@ -45,6 +45,13 @@ _REMEDY = "restore the file, or calibrate into another folder"
 DRIFT_HOURS = 24
 DRIFT_LIMITS = {"residual_mean": 0.25, "coverage": 0.80, "withheld": 0.5, "missing": 0.25, "distance": 1.0}
 """K; shares; novelty of the operating point. Two of them beyond their limits for a day raise the alarm."""
+_BEYOND = {
+    "residual_mean": f"the mean error was above {DRIFT_LIMITS['residual_mean']:g} K",
+    "coverage": f"less than {100 * DRIFT_LIMITS['coverage']:g} % of the readings lay in the interval",
+    "withheld": "gates held the proposals back",
+    "missing": f"more than {100 * DRIFT_LIMITS['missing']:g} % of the required channels were hidden",
+    "distance": "the operating point was far from those before",
+}
 
 
 @dataclass(frozen=True)
@@ -79,6 +86,11 @@ def drift_alarms(found: Indicators) -> list[tuple[float, tuple[str, ...]]]:
     return [
         (float(found.time_s[i]), tuple(n for n, rows in lasting.items() if rows[i])) for i in np.flatnonzero(raised)
     ]
+
+
+def drift_sentence(names: Sequence[str]) -> str:
+    """Return the indicators of a drift alarm in words."""
+    return f"for a day {' and '.join(_BEYOND.get(name, name) for name in names)}"
 
 
 def _running(rows: NDArray[np.bool_]) -> NDArray[np.intp]:

@@ -14,7 +14,7 @@ from hil.record import RecordError
 from hil.tower.calibration import TABLE, read_minutes, read_remarks
 from hil.tower.governance.calibration_folder import check_chains
 from hil.tower.governance.events_file import event_lines
-from hil.tower.governance.records import NETWORK_RECORDS, QUEUE, RECORDS
+from hil.tower.governance.records import NETWORK_RECORDS, QUEUE, RECORDS, drift_sentence
 from hil.tower.network import NETWORK, NETWORK_TABLE, read_about
 from hil.tower.station import misfit, read_object
 from twin.tower import DEVIATIONS, condition_text
@@ -173,6 +173,6 @@ def _proposals(path: Path) -> list[str]:
         elif "text" in e:
             lines.append(f"- {e['time']} cell {e['cell']}: {e['text']}")
         else:
-            further = f" of {e['size_K']:+.2f} K" if "size_K" in e else f" by {', '.join(e.get('indicators', []))}"
+            further = f" of {e['size_K']:+.2f} K" if "size_K" in e else f": {drift_sentence(e.get('indicators', []))}"
             lines.append(f"- {e['time']} cell {e['cell']}: {e['event'].replace('_', ' ')}{further}")
     return lines

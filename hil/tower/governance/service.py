@@ -33,6 +33,7 @@ from hil.tower.governance.records import (
     Indicators,
     append_records,
     drift_alarms,
+    drift_sentence,
     write_queue,
 )
 from hil.tower.governance.reverted import hold_reverted
@@ -71,6 +72,11 @@ class CellGovernance:
     balance: str
     network: NetworkGovernance | None = None
     remarks: tuple[str, ...] = ()
+
+    @property
+    def alarm_lines(self) -> list[str]:
+        """A sentence for each drift alarm."""
+        return [f"drift alarm at {iso(time_s)}: {drift_sentence(names)}" for time_s, names in self.alarms]
 
     @property
     def withheld(self) -> dict[str, float]:

@@ -9,6 +9,7 @@ import pytest
 
 from hil.tower.governance import Indicators, drift_alarms
 from hil.tower.governance.gates import GateEvidence, judge
+from hil.tower.governance.records import drift_sentence
 from hil.tower.governance.service import hidden_shares
 from twin.tower.identify import Identifiability
 from twin.tower.windows import TargetWindow
@@ -36,6 +37,9 @@ def test_one_indicator_or_a_short_excursion_of_two_raises_no_alarm() -> None:
 def test_two_indicators_for_a_day_raise_one_alarm_that_names_them() -> None:
     found = drift_alarms(indicators(coverage=slice(10, 90), residual_mean=slice(20, 80)))
     assert found == [(3600.0 * 43, ("residual_mean", "coverage"))]
+    assert drift_sentence(found[0][1]) == (
+        "for a day the mean error was above 0.25 K and less than 80 % of the readings lay in the interval"
+    )
 
 
 def window(

@@ -88,6 +88,12 @@ def test_a_meter_whose_range_changed_is_in_no_other_unit_throughout(clean: list[
         assert left_out == set() and remarks == ""
 
 
+def test_a_fan_whose_range_changed_early_is_in_no_other_unit_throughout(clean: list[Series]) -> None:
+    for name in ("JI1", "SI1"):
+        left_out, remarks = judged(clean, {name: lambda v: np.where(np.arange(len(v)) > 0.15 * len(v), 1.86 * v, v)})
+        assert left_out == set() and remarks == ""
+
+
 @pytest.mark.parametrize(("factor", "since"), [(2.2, 0.05), (3.0, 0.12), (3.6, 0.12), (3.6, 0.25)])
 def test_a_flow_in_another_unit_for_most_of_the_record_leaves_out_no_tag(factor: float, since: float) -> None:
     """It was right before, so that the edge tells its span; by their sum the other cell's flow is not judged."""
