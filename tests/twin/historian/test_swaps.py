@@ -182,3 +182,31 @@ def test_an_edge_that_moves_beyond_the_other_one_moves_neither() -> None:
     changes = wanted.copy()
     span = _Span(100, 120, 80.0, changes, wanted)
     assert span.moved(100, 120, 150, 300) == (100, 120)
+
+
+def test_a_pair_that_a_single_faulty_witness_contradicts_was_not_exchanged() -> None:
+    """A basin's thermometer tells most of the difference of two outlets, and reads the other way for three days."""
+    rng = np.random.default_rng(6)
+    n, low, high = 40 * DAY, 20 * DAY, 23 * DAY
+    difference, water = _rough(rng, n, 1.0), 28.0 + _rough(rng, n, 1.0)
+    basin = np.where((np.arange(n) >= low) & (np.arange(n) < high), -difference, difference)
+    rows = [
+        ("T1", "water_outlet_temperature", 1, water + difference),
+        ("T2", "water_outlet_temperature", 2, water - difference),
+        ("B1", "basin_temperature", 1, 20.0 + basin),
+        ("TIN1", "water_inlet_temperature", 1, 33.0 + water + 0.3 * difference + 0.5 * rng.standard_normal(n)),
+        ("TRET", "return_header_temperature", None, 5.0 + water),
+    ]
+    grid, good = START_S + STEP_S * np.arange(n), np.full(n, 192, dtype=np.int16)
+    series = [
+        Series(Tag(name, "degC", role, cell, 120.0), grid, value + 0.05 * rng.standard_normal(n), good)
+        for name, role, cell, value in rows
+    ]
+    assert swapped(series) == []
+    first, last = series[0], series[1]
+    true = [row[3] for row in rows[:2]]
+    series[2] = replace(series[2], value=20.0 + difference + 0.05 * rng.standard_normal(n))
+    for k, own, other in ((0, first, true[1]), (1, last, true[0])):
+        series[k] = replace(own, value=np.where(basin == difference, own.value, other))
+    (found,) = swapped(series)
+    assert found.tags == ("T1", "T2")

@@ -209,11 +209,28 @@ def _judged(
         alone = daily or not (_better(now, other, predict, low, high) and _better(other, now, predict, low, high))
         if alone and not entries:
             continue
+        if not entries and _least_without_one(difference, predict.matrix, low, high) < LEAST_EVIDENCE_NAMED:
+            continue
         entry = "; a maintenance entry names both" if entries else ""
         says = f"{tags[0]} and {tags[1]} carry each other's values for {(end - start) / DAY_S:.1f} days"
         says += f" (log likelihood ratio {span.evidence:.0f}{entry})"
         return _Hit(Defect("swap", tags, start, end, says, "exchanged"), span.evidence, entries, low, high)
     return None
+
+
+def _least_without_one(difference: Array, matrix: Array, low: int, high: int) -> float:
+    """Return the least evidence of a span that is left without one of the witnesses, columns of `matrix (m, k)`.
+
+    A witness that is faulty itself reverses the prediction of a right pair; the others then do not.
+    """
+    mask = np.ones(len(difference))
+    mask[low:high] = -1.0
+    least = np.inf
+    for column in range(1, matrix.shape[1]):
+        predicted, sigma = RobustPredictor(np.delete(matrix, column, axis=1))(difference * mask)
+        gain = np.nan_to_num(-2.0 * difference[low:high] * predicted[low:high] / sigma**2)
+        least = min(least, float(np.clip(gain, -CAP, CAP).sum()))
+    return least
 
 
 def _better(own: Array, theirs: Array, predict: RobustPredictor, low: int, high: int) -> bool:
