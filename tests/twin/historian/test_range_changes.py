@@ -160,6 +160,25 @@ def test_a_range_that_was_changed_while_the_fan_stood_is_found_by_the_law_of_the
     assert float(found[0].says.split(" reads ")[1].split()[0]) == pytest.approx(factor, rel=0.06)
 
 
+def test_a_range_that_begins_in_a_rest_after_few_hours_at_work_is_told_by_its_end() -> None:
+    """In the five days before, the fan turned for six hours: too few for other tags, and enough for its law."""
+    rng = np.random.default_rng(89)
+    plant = instruments(rng, 24.0)
+    at = _running(plant, 9.0)
+    minute = np.arange(24 * 1440) - round(at * 1440)
+    rests, turns = (minute > -5 * 1440) & (minute < 180), (minute > -9 * 60) & (minute < -3 * 60)
+    for k, one in enumerate(plant):
+        if one.tag.name in ("SC1", "SI1", "JI1"):
+            turning = 40.0 * 0.7**3 if one.tag.name == "JI1" else 70.0
+            plant[k] = replace(one, truth=np.where(turns, turning, np.where(rests, 0.0, one.truth)))
+    end = _running(plant, at + 5.0)
+    store = _store(plant, rng, [("JI1", at, end, 0.684, 0.0)])
+    found = range_changes(store, full_speed="50 Hz").defects
+    assert [one.tags for one in found] == [("JI1",)]
+    assert abs(found[0].start_s - START_S - at * DAY_S) < 0.3 * DAY_S
+    assert abs(found[0].end_s - START_S - end * DAY_S) < 0.3 * DAY_S
+
+
 def test_a_factor_of_a_unit_that_the_search_for_units_missed_is_a_change_of_unit() -> None:
     rng = np.random.default_rng(81)
     plant = instruments(rng, 20.0)

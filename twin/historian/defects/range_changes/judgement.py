@@ -123,7 +123,8 @@ def return_map(table: TagPanel, k: int, at: LeapCandidate, leaps: Sequence[Leap]
     """
     at_s = float(table.series[k].time_s[at.row])
     others = [total_map(leaps, at_s), *((one.factor, one.constant) for one in leaps if one.before_s > at_s)]
-    return next((back for one in others if (back := _taken_back(table.series[k], at, *one)) is not None), None)
+    by_law = _by_law(table, k, at)
+    return next((back for one in others if (back := _taken_back(table.series[k], at, *one, by_law)) is not None), None)
 
 
 def total_map(leaps: Sequence[Leap], at_s: float) -> tuple[float, float]:
@@ -134,14 +135,21 @@ def total_map(leaps: Sequence[Leap], at_s: float) -> tuple[float, float]:
     return factor, constant
 
 
-def _taken_back(series: Series, at: LeapCandidate, factor: float, constant: float) -> tuple[float, float] | None:
-    """Return the map that takes back another one, if a leap goes by about as much; else None."""
+def _taken_back(
+    series: Series, at: LeapCandidate, factor: float, constant: float, by_law: float | None
+) -> tuple[float, float] | None:
+    """Return the map that takes back another one, if a leap goes by about as much; else None.
+
+    A fan turns at another speed on the other side of a rest, so that its law tells how far its readings go (`by_law`).
+    """
     if np.isclose(factor, 1.0) and np.isclose(constant, 0.0, atol=1e-6):
         return None
     inverse = 1.0 / factor, -constant / factor
     # The table holds the readings mapped already: a return leaves them short by the same map.
     before, after = at.sides(canonical(series))
-    if constant == 0.0:
+    if constant == 0.0 and by_law is not None:
+        wanted, seen = -float(np.log(factor)), float(np.log(by_law))
+    elif constant == 0.0:
         wanted, seen = -float(np.log(factor)), float(np.log(after / before)) if min(before, after) > 0.0 else np.inf
     else:
         wanted, seen = inverse[0] * before + inverse[1] - before, after - before
@@ -232,6 +240,12 @@ def _judged_over(
     x = np.where(stands(series, table.series, grid[rows]), np.nan, x)
     x = np.where((grid[rows] > before_s) & (grid[rows] < after_s), np.nan, x)
     after = grid[rows] >= after_s
+    by_law = _by_law(table, k, at)
+    if at.hidden and back is not None and by_law is not None and _fewest(x, after) >= LEAST_ROWS:
+        # The law of the fan has no weights that some rows could be explained by, and the map is known.
+        apart = abs(float(np.log(by_law / back[0]))) / abs(float(np.log(back[0]))) if back[1] == 0.0 else np.inf
+        if apart <= BACK:
+            return Leap(before_s, after_s, *back, apart, at.hidden)
     if _fewest(x, after) < (HIDDEN_ROWS if at.hidden else LEAST_ROWS):
         return None
     matrix = _witnesses(table, k, rows)
@@ -245,7 +259,6 @@ def _judged_over(
     if np.nansum(np.abs(x - plain)) <= EXPLAINS * _least_leap(series, at, x[after]) * _fewest(x, after):
         return None  # whatever the map: no prediction is nearer than the readings themselves
     usual_map = is_ratio(series) or series.tag.role in FANS
-    by_law = _by_law(table, k, at)
     fits = [fitted_map(x, after, predict, ratio=ratio, first=by_law) for ratio in (usual_map, not usual_map)]
     errors = [np.inf if one is None else one.error for one in fits]
     fit = fits[0] if errors[0] <= CLEARLY * errors[1] else fits[1]
