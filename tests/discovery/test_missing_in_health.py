@@ -82,6 +82,22 @@ def test_an_effect_that_begins_later_is_not_taken_for_what_was_missing(bench: Be
     assert found.effects[0].value == pytest.approx(40.0, rel=0.1)
 
 
+@pytest.mark.parametrize("told", [False, True])
+def test_beside_a_large_effect_a_law_is_no_change_that_the_healthy_record_leaves_open(
+    brisk: Bench, brisk_healthy: Columns, told: bool
+) -> None:
+    """Heat in the modules, and a heater that follows late: of steady power no healthy record tells how late.
+
+    One of changing power does. Beside that one the heater has become late, and both are told.
+    """
+    late = brisk.of(brisk.with_element("late", {"kind": "actuator", "column": "heater_power_W", "lag_s": 40.0}))
+    record = late.record(seed=4, changed=late.with_values(modules_power__power=300.0), onset_h=5.0)
+    found = diagnose(brisk.network, record, brisk_healthy if told else calm(brisk, late))
+    named = {(e.kind, e.where) for e in found.effects}
+    assert named == {("heat_source", "modules"), *([("actuator", "heater_power")] if told else [])}
+    assert any("follows its command late" in note for note in found.notes) is not told, found.notes
+
+
 def test_a_twin_that_is_its_rig_lacks_nothing(bench: Bench, healthy: Columns) -> None:
     known, part = known_of(bench, healthy, bench.record(16.0, seed=4))
     assert with_missing(part) is known

@@ -243,6 +243,18 @@ class Joint:
         found: Array = score_test.score - self.onto @ (self.root.T @ pull)
         return found
 
+    def left_of(self, seen: Array, gram: Array, score: Array) -> tuple[Array, Array]:
+        """Return the Gram matrix (c, c) and score (c,) of signatures `seen` (b * m, c) with these effects integrated
+        out.
+
+        Args:
+            gram, score: of `seen`, tunables and initial state projected out.
+        """
+        mine = (self.seen * self.scale) @ self.root
+        both = self.score_test.across(np.concatenate([mine, seen], axis=1))
+        shared, pull = both[: mine.shape[1], mine.shape[1] :], self.score_test.scores_of(mine)
+        return gram - shared.T @ shared, score - shared.T @ pull
+
 
 def _in_order(parts: list[Array]) -> Array:
     """Return columns (r, 1 + c) of effects in the order of `joint`: first each effect, then each one's form errors."""

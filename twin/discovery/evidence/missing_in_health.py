@@ -9,6 +9,7 @@ health.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,14 +21,17 @@ from scipy.linalg import block_diag
 from twin.discovery.effects.laws import temperatures
 from twin.discovery.effects.open_laws.laws import laws_of, open_laws
 from twin.discovery.evidence.hypotheses import Prior, apart
-from twin.discovery.evidence.marginal import joint, log_widths, widths
+from twin.discovery.evidence.marginal import Joint, joint, log_widths, widths
 from twin.discovery.evidence.part import Part
 from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, MISSING_IN_HEALTH, SPREAD
 from twin.discovery.evidence.scan import scan
 from twin.discovery.evidence.search import late_ones, leading, log_odds_unlisted
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.healthy.law_amplitudes import Amplitudes, HealthyResidual, MissingInHealth
+from twin.discovery.refit.fitting import Fit
+from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
+from twin.discovery.scoring.structure import Structure
 from twin.elements.candidates import Candidate
 from twin.network import Array
 
@@ -103,7 +107,7 @@ def with_missing(part: Part) -> Basis:
     amounts = known.health.amplitudes([law.candidate for law in part.laws], known.probe.scaling.ids)
     if not amounts.candidates:
         return known
-    columns, count = _columns_of(part, effects, amounts, prior), len(effects)
+    columns, count = _columns_of(part, part.score_test, effects, amounts, prior), len(effects)
     alone, odds = _possible(columns, (), amounts.candidates)
     if odds <= max(columns.likeliest((), range(count))[1], 0.0, *log_odds_unlisted(part).values()):
         return known
@@ -112,17 +116,51 @@ def with_missing(part: Part) -> Basis:
     likeliest, beside = _possible(columns, begun, amounts.candidates)
     if beside <= odds + CLAIM:
         likeliest = alone
-    laws = tuple(i for i in likeliest if i >= count)
-    if not laws:
+    if all(i < count for i in likeliest) or odds < _odds_of_late(part, prior):
         return known
-    if odds < _odds_of_late(part, prior):
+    return _joined(known, known.structure, columns, amounts, likeliest)
+
+
+def with_missing_beside(part: Part, fit: Fit, further: Sequence[Entry]) -> Basis:
+    """Return the prior knowledge of a rig, with laws that are likelier than the `further` effects beside a fitted one.
+
+    A record may take the rig to where it never was in health. What a lumped twin lacks shows there, and beside a large
+    effect resembles a second one. A law of which the healthy record says nothing may always have been missing, too.
+
+    Args:
+        part: all of the record, with the laws of the effects of the `fit` and of the further ones.
+    """
+    known = part.basis
+    if known.health is None or known.structure is None:
         return known
-    at, which = list(laws), [i - count for i in laws]
+    candidates = [law.candidate for law in part.laws]
+    amounts = known.health.amplitudes(candidates, known.probe.scaling.ids)
+    if known.earlier is None:
+        amounts = amounts.with_open(candidates)
+    prior, score_test = Prior([*part.laws, *part.opened]), copy.copy(part.score_test)
+    score_test.take(fit.residual, fit.moved)
+    beside = joint(score_test, tuple(e.refreshed(score_test) for e in fit.entries))
+    columns, count = _columns_of(part, score_test, further, amounts, prior, beside), len(further)
+    likeliest, odds = _possible(columns, (), amounts.candidates)
+    if odds <= max(float(columns.odds(np.arange(count)[None])[0]), 0.0):
+        return known
+    return _joined(known, known.structure, columns, amounts, likeliest)
+
+
+def _joined(
+    known: Basis, structure: Structure, columns: _Columns, amounts: Amplitudes, likeliest: Sequence[int]
+) -> Basis:
+    """Return the prior knowledge of a rig with the laws of the `likeliest` columns as part of the known structure."""
+    count = len(columns.score) - len(amounts.candidates)
+    at = [i for i in likeliest if i >= count]
+    which = [i - count for i in at]
     covariance = np.asarray(np.linalg.inv(columns.precision[np.ix_(at, at)]), dtype=np.float64)
     missing = tuple(amounts.candidates[i] for i in which)
-    structure = known.structure.with_laws(missing, covariance @ columns.pull[at], covariance, amounts.moves[:, which])
-    sizes = columns.sizes(likeliest)[[likeliest.index(i) for i in laws]]
-    return replace(known, structure=structure, missing=MissingInHealth(missing, sizes))
+    structure = structure.with_laws(missing, covariance @ columns.pull[at], covariance, amounts.moves[:, which])
+    sizes = columns.sizes(likeliest)[[likeliest.index(i) for i in at]]
+    told = known.missing or MissingInHealth((), np.zeros(0))
+    told = MissingInHealth((*told.candidates, *missing), np.concatenate([told.sizes, sizes]))
+    return replace(known, structure=structure, missing=told)
 
 
 def _possible(columns: _Columns, begun: Sequence[int], laws: Sequence[Candidate]) -> tuple[tuple[int, ...], float]:
@@ -188,15 +226,25 @@ def _log_normal(off: float, variance: float) -> float:
     return -0.5 * (off**2 / variance + math.log(2.0 * math.pi * variance))
 
 
-def _columns_of(part: Part, effects: Sequence[Entry], amounts: Amplitudes, prior: Prior) -> _Columns:
+def _columns_of(
+    part: Part,
+    score_test: ScoreTest,
+    effects: Sequence[Entry],
+    amounts: Amplitudes,
+    prior: Prior,
+    beside: Joint | None = None,
+) -> _Columns:
     """Return effects, and then the laws with amplitudes `amounts` in the healthy record, as columns of one quadratic
-    form.
+    form, in which the effects `beside` are integrated out.
     """
-    score_test, by = part.score_test, {law.candidate.id: law for law in part.laws}
+    by = {law.candidate.id: law for law in part.laws}
     here = score_test.signatures(np.stack([score_test.vector(by[c.id]) for c in amounts.candidates]))
     here += score_test.slopes[:, : part.basis.probe.q] @ amounts.moves
-    there = score_test.signatures(np.stack([e.vector for e in effects]))
-    _, gram, score = score_test.beside_tunables(np.concatenate([there, here], axis=1))
+    there = score_test.signatures(np.array([e.vector for e in effects]).reshape(-1, score_test.sites, score_test.b))
+    seen = np.concatenate([there, here], axis=1)
+    _, gram, score = score_test.beside_tunables(seen)
+    if beside is not None:
+        gram, score = beside.left_of(seen, gram, score)
     sizes = np.array([e.size for e in effects])
     wide = [
         *widths(np.array([e.candidate.typical for e in effects]), sizes) ** -2.0,
@@ -209,9 +257,9 @@ def _columns_of(part: Part, effects: Sequence[Entry], amounts: Amplitudes, prior
         score=score,
         precision=block_diag(np.zeros((count, count)), amounts.precision) + np.diag(wide),
         pull=np.concatenate([np.zeros(count), amounts.score]),
-        log_prior=np.array([prior.of(e) for e in effects] + missing),
+        log_prior=np.array([prior.of(e) + e.log_occam for e in effects] + missing),
     )
-    for i, entry in enumerate(effects):
+    for i, entry in enumerate(effects if beside is None else ()):
         # What bounds and unknown times make of an effect's evidence is no matter of its neighbours.
         columns.log_prior[i] += entry.log_bayes + prior.of(entry) - float(columns.odds(np.array([[i]]))[0])
     return columns

@@ -17,7 +17,7 @@ from twin.discovery.evidence.finding import Finding, Ranked
 from twin.discovery.evidence.held_out import HeldOutRecord
 from twin.discovery.evidence.hypotheses import Found, Hypothesis, Prior, apart, class_of
 from twin.discovery.evidence.marginal import joint
-from twin.discovery.evidence.missing_in_health import with_missing, with_usual
+from twin.discovery.evidence.missing_in_health import with_missing, with_missing_beside, with_usual
 from twin.discovery.evidence.part import Part, fitted, plainly
 from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_SHARE, SURE, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, scan
@@ -82,11 +82,26 @@ class SplitSearch:
         restarts.
         """
         found = self.answer(held_out)
-        known = with_usual(self.known, found.finding.entries)
+        known = with_usual(self._missing_beside(found.finding), found.finding.entries)
         if known is self.known:
             return self, found
         anew = replace(self, known=known, begun=Part.of(known, self.grid))
         return anew, anew.answer(held_out)
+
+    def _missing_beside(self, finding: Finding) -> Basis:
+        """Return the prior knowledge with laws that are likelier beside the surest effect than the further ones."""
+        if len(finding.entries) < 2:
+            return self.known
+        first, *further = self._of_whole(finding.entries)
+        ((fit, _),) = fitted(self.whole, [(first,)], AGAIN)
+        return with_missing_beside(self.whole, fit, further)
+
+    def _of_whole(self, entries: Sequence[Entry]) -> tuple[Entry, ...]:
+        """Return effects of a part in the score test of the whole record."""
+        whole = self.whole
+        whole.know(e.candidate for e in entries)
+        laws = {law.candidate.id: law for law in whole.laws}
+        return tuple(replace(e, law=laws[e.candidate.id]).refreshed(whole.score_test) for e in entries)
 
     @cached_property
     def _scanned(self) -> tuple[Part, tuple[Candidate, ...]]:
@@ -177,10 +192,7 @@ class SplitSearch:
         if not entries:
             return None
         whole = self.whole
-        whole.know(e.candidate for e in entries)
-        laws = {law.candidate.id: law for law in whole.laws}
-        here = tuple(replace(e, law=laws[e.candidate.id]).refreshed(whole.score_test) for e in entries)
-        ((fit, _),) = fitted(whole, [here], AGAIN)
+        ((fit, _),) = fitted(whole, [self._of_whole(entries)], AGAIN)
         score_test = copy.copy(whole.score_test)
         score_test.take(fit.residual, fit.moved)
         known = joint(score_test, tuple(e.refreshed(score_test) for e in fit.entries))

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from twin.commissioning import weak_prior
 from twin.discovery.effects.laws import Book, CandidateLaw
@@ -46,6 +47,17 @@ class Amplitudes:
     precision: Array
     score: Array
     moves: Array
+
+    def with_open(self, candidates: Sequence[Candidate]) -> Amplitudes:
+        """Return the amplitudes with those of further laws, of which the healthy record says nothing."""
+        known = {c.id for c in self.candidates}
+        others = tuple(c for c in candidates if c.id not in known)
+        return Amplitudes(
+            (*self.candidates, *others),
+            block_diag(self.precision, np.zeros((len(others), len(others)))),
+            np.append(self.score, np.zeros(len(others))),
+            np.hstack([self.moves, np.zeros((len(self.moves), len(others)))]),
+        )
 
 
 @dataclass(frozen=True)
@@ -101,4 +113,4 @@ class MissingInHealth:
     def sentence(self) -> str:
         """Return a sentence that names the laws."""
         told = "; ".join(said(c, float(x)) for c, x in zip(self.candidates, self.sizes, strict=True))
-        return f"the healthy record speaks for this too, so it is taken as known and not as a change: {told}"
+        return f"as far as the healthy record tells, this may always have been so and is not taken for a change: {told}"
