@@ -134,9 +134,9 @@ def with_missing_beside(part: Part, fit: Fit, further: Sequence[Entry]) -> Basis
     if known.health is None or known.structure is None:
         return known
     candidates = [law.candidate for law in part.laws]
-    amounts = known.health.amplitudes(candidates, known.probe.scaling.ids)
+    amounts = _amounts_of(known, known.health, candidates)
     if known.earlier is None:
-        amounts = amounts.with_open(candidates)
+        amounts = amounts.with_open([c for c in candidates if not c.is_open])
     prior, score_test = Prior([*part.laws, *part.opened]), copy.copy(part.score_test)
     score_test.take(fit.residual, fit.moved)
     beside = joint(score_test, tuple(e.refreshed(score_test) for e in fit.entries))
@@ -191,7 +191,7 @@ def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:
         return known
     missing = known.missing
     for entry in along:
-        amounts = _amounts_of(known, known.health, entry.candidate)
+        amounts = _amounts_of(known, known.health, [entry.candidate])
         if not amounts.candidates:
             continue
         wide = float(widths(entry.candidate.typical, entry.size)) ** 2
@@ -210,16 +210,18 @@ def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:
     return known
 
 
-def _amounts_of(known: Basis, health: HealthyResidual, candidate: Candidate) -> Amplitudes:
-    """Return the amplitude of a law in the healthy record; none where the twin then lacked what it is made of."""
+def _amounts_of(known: Basis, health: HealthyResidual, candidates: Sequence[Candidate]) -> Amplitudes:
+    """Return the amplitudes of laws in the healthy record; none where the twin then lacked what they are made of."""
     ids, book, network = known.probe.scaling.ids, health.book, known.probe.network
+    named, opened = ([c for c in candidates if c.is_open is is_open] for is_open in (False, True))
     if known.earlier is not None:
-        return health.amplitudes([] if candidate.is_open else [candidate], ids)
-    if not candidate.is_open:
-        return health.amplitudes_of(book.laws(health.grid, health.run, (candidate,)), ids)
-    here = temperatures(network, health.grid, health.run)
-    every = open_laws(network, health.grid, book.laws(health.grid, health.run), here)
-    return health.amplitudes_of(laws_of(network, (candidate,), every, health.grid, here), ids)
+        return health.amplitudes(named, ids)
+    laws = book.laws(health.grid, health.run, tuple(named)) if named else []
+    if opened:
+        here = temperatures(network, health.grid, health.run)
+        every = open_laws(network, health.grid, book.laws(health.grid, health.run), here)
+        laws = [*laws, *laws_of(network, opened, every, health.grid, here)]
+    return health.amplitudes_of(laws, ids)
 
 
 def _log_normal(off: float, variance: float) -> float:
