@@ -47,7 +47,7 @@ class AmbientLoss(Element):
                 "W/K",
                 1.0,
                 0.0,
-                60.0,
+                cls.upper_of("hA"),
                 "loses {value} to the room",
                 adds={name: {"kind": cls.kind, "node": node, "ambient": sites.room}},
             )
@@ -58,11 +58,8 @@ class AmbientLoss(Element):
     def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         where = sites.places[self.node]
         says, now = "loses {value} more to the room than when commissioned", sites.values[f"{self.name}.hA"]
-        return (
-            self.parameter_candidate(
-                "hA", "heat_loss", where, "temperature_difference", EffectSize("W/K", 1.0, -now, 60.0), says
-            ),
-        )
+        size = EffectSize("W/K", 1.0, -now, self.upper_of("hA") - now)
+        return (self.parameter_candidate("hA", "heat_loss", where, "temperature_difference", size, says),)
 
     def emit(self, n: Names) -> Fragment:
         hA = n.par("hA")

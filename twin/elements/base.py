@@ -124,6 +124,14 @@ class Element(ABC):
         return None
 
     @classmethod
+    def upper_of(cls, name: str) -> float:
+        """Return the upper bound of a parameter of this kind, up to which its changes are looked for.
+
+        How large an effect may be is a matter of the rig's size, of which an element knows nothing else.
+        """
+        return next(spec.upper for spec in cls.parameters if spec.name == name)
+
+    @classmethod
     def missing_candidates(cls, sites: Sites) -> tuple[Candidate, ...]:
         """Return elements of this kind that a twin may lack, at every possible place."""
         return ()

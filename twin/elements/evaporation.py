@@ -64,7 +64,7 @@ class Evaporation(Element):
                 "m2",
                 0.02,
                 0.0,
-                2.0,
+                cls.upper_of("area"),
                 "loses heat by evaporation from {value} of open water",
                 adds={name: {"kind": cls.kind, "node": node, "ambient": sites.room, **extra}},
             )
@@ -76,7 +76,11 @@ class Evaporation(Element):
         where, now = sites.places[self.node], sites.values[f"{self.name}.area"]
         driver = "humidity" if self.humidity else "temperature"
         says = "loses heat by evaporation from {value} more of open water than when commissioned"
-        return (self.parameter_candidate("area", "heat_loss", where, driver, EffectSize("m2", 0.02, -now, 2.0), says),)
+        return (
+            self.parameter_candidate(
+                "area", "heat_loss", where, driver, EffectSize("m2", 0.02, -now, self.upper_of("area") - now), says
+            ),
+        )
 
     def emit(self, n: Names) -> Fragment:
         room, air, water, pressure = (n.local(name) for name in ("room", "air", "water", "pressure"))

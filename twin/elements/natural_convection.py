@@ -52,7 +52,7 @@ class NaturalConvection(Element):
                 "W/K^1.25",
                 0.5,
                 0.0,
-                40.0,
+                cls.upper_of("coefficient"),
                 "loses heat to the room by natural convection, {value}",
                 adds={name: {"kind": cls.kind, "node": node, "ambient": sites.room}},
             )
@@ -65,7 +65,12 @@ class NaturalConvection(Element):
         says = "loses heat to the room by natural convection, {value} more than when commissioned"
         return (
             self.parameter_candidate(
-                "coefficient", "heat_loss", where, "temperature", EffectSize("W/K^1.25", 0.5, -now, 40.0), says
+                "coefficient",
+                "heat_loss",
+                where,
+                "temperature",
+                EffectSize("W/K^1.25", 0.5, -now, self.upper_of("coefficient") - now),
+                says,
             ),
         )
 

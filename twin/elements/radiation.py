@@ -69,7 +69,7 @@ class Radiation(Element):
                 "m2",
                 0.1,
                 0.0,
-                5.0,
+                cls.upper_of("area"),
                 "radiates to the room from {value}",
                 adds={name: {"kind": cls.kind, "node": node, "ambient": sites.room}},
             )
@@ -81,7 +81,11 @@ class Radiation(Element):
         where, now = sites.places[self.node], sites.values[f"{self.name}.area"]
         kind, other = ("coupling", self.to) if self.to else ("heat_loss", "the room")
         says = f"radiates to {other} from {{value}} more than when commissioned"
-        return (self.parameter_candidate("area", kind, where, "temperature", EffectSize("m2", 0.1, -now, 5.0), says),)
+        return (
+            self.parameter_candidate(
+                "area", kind, where, "temperature", EffectSize("m2", 0.1, -now, self.upper_of("area") - now), says
+            ),
+        )
 
     def emit(self, n: Names) -> Fragment:
         a, b, q, g = n.local("a"), n.local("b"), n.local("q"), n.local("g")

@@ -86,7 +86,7 @@ class Radiator(Element):
         where, now = sites.places[self.node], {k: sites.values[f"{self.name}.{k}"] for k in ("UA_100", "fan_exponent")}
         full, law = now["UA_100"], "with the fan's speed by a power that differs by {value}"
         rejects = ("heat_rejection", where)
-        own = sites.values[f"{self.name}.recirculation"]
+        own, still = (sites.values[f"{self.name}.{key}"] for key in ("recirculation", "UA_still"))
         water = sites.values[f"{self.name}.flow_exponent"]
         # An "outlet" hides the drop along the core, and with it the effect of the flow.
         of_flow = self.parameter_candidate(
@@ -117,7 +117,7 @@ class Radiator(Element):
                 "UA_still",
                 *rejects,
                 "constant",
-                EffectSize("W/K", 1.0, -sites.values[f"{self.name}.UA_still"], 200.0),
+                EffectSize("W/K", 1.0, -still, self.upper_of("UA_still") - still),
                 "rejects {value} more than when commissioned whatever the fan does",
             ),
             replace(

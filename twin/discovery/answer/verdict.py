@@ -184,10 +184,12 @@ def _at_one_moment(case: AssessedFinding) -> tuple[str, ...]:
 def _one_curve(case: AssessedFinding) -> Empirical | TooMuchHeat | None:
     """Return the curve of one input at one place that replaces several effects which all follow that input.
 
-    Independent faults rarely follow one input; the held-out segment has to contradict the single cause.
+    Independent faults rarely follow one input; the held-out segment has to contradict the single cause. What changes
+    twice by one law is no such case.
     """
-    drivers = {e.driver for e in case.finding.entries}
-    if len(case.finding.entries) < 2 or len(drivers) > 1 or not drivers <= DRIVERS.keys():
+    entries = case.finding.entries
+    laws, drivers = {e.candidate.id for e in entries}, {e.driver for e in entries}
+    if len(entries) < 2 or len(laws) < len(entries) or len(drivers) > 1 or not drivers <= DRIVERS.keys():
         return None
     curve = _offered(case)
     if not isinstance(curve, Empirical):

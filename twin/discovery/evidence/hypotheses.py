@@ -119,10 +119,16 @@ class Prior:
 
 def apart(candidate: Candidate, others: Sequence[Entry]) -> bool:
     """Return True if a candidate may join other effects: each place has one effect of any form, and one thermometer
-    error.
+    error, but what has changed once may change again.
     """
     place = place_of(candidate)
-    return all(place != place_of(o.candidate) for o in others)
+    here = [o.candidate for o in others if place == place_of(o.candidate)]
+    return all(candidate.id == c.id for c in here) and (not here or _adds_up(candidate))
+
+
+def _adds_up(candidate: Candidate) -> bool:
+    """Return True if two changes of a law are one of the sum of their sizes."""
+    return not (candidate.inverse or candidate.begins or candidate.sticks or candidate.passes)
 
 
 def place_of(candidate: Candidate) -> Place:

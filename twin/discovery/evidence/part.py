@@ -57,7 +57,9 @@ class Part:
     def of(cls, known: Basis, grid: Grid) -> Part:
         state, run, _, _ = free_run(known.probe, grid)
         book = known.book
-        found = [law for only in (None, book.put_in, book.passing) for law in book.laws(grid, run, only)]
+        every = [law for only in (None, book.put_in, book.passing) for law in book.laws(grid, run, only)]
+        assumed = known.assumed(grid)
+        found = [law for law in every if law.candidate.where not in assumed]
         told = [*found, *_missing(known, grid, run, found)]
         return cls(known, grid, state, run, known.score_test(grid, state, run, told), found)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import itertools
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -309,9 +310,9 @@ def _on_a_bound(h: Hypothesis) -> bool:
 
 def with_fewer_effects(best: Hypothesis, hypotheses: Sequence[Hypothesis], enough: float) -> list[Hypothesis]:
     """Return the fitted hypotheses of log odds `enough` or more with a proper subset of the classes of `best`."""
-    classes = {class_of(e) for e in best.entries}
+    classes = Counter(map(class_of, best.entries))
     fits = [h for h in hypotheses if h.fit is not None and h.odds >= enough]
-    return [h for h in fits if {class_of(e) for e in h.entries} < classes]
+    return [h for h in fits if Counter(map(class_of, h.entries)) < classes]
 
 
 def _at_one_moment(h: Hypothesis | None, score_test: ScoreTest) -> tuple[Entry, Entry] | None:

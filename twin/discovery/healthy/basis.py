@@ -139,6 +139,15 @@ class Basis:
         times = heat_by_input_times(self.book, grid, run, self.period_s) if self.period_s else None
         return ScoreTest(self.probe, grid, state, run, self.noise, self.prior, UsualErrors(structure, laws, times))
 
+    def assumed(self, grid: Grid) -> frozenset[str]:
+        """Return the temperatures among the inputs that nobody measured: the same in all of the record, and in health.
+
+        No thermometer of theirs can have failed.
+        """
+        columns = self.probe.network.input_columns
+        alike = (np.ptp(grid.inputs, axis=0) == 0.0) & (self.tried == grid.inputs[0]).all(axis=0)
+        return frozenset(c for c, same in zip(columns, alike, strict=True) if same and c.endswith("_C"))
+
     @property
     def claim(self) -> float:
         """Return the log posterior odds that a bootstrap of this twin requires for a claim; 0 without one."""
