@@ -11,6 +11,7 @@ from tests.discovery.conftest import Bench
 from twin.discovery import diagnose
 from twin.discovery.effects.catalogue import catalogue
 from twin.discovery.healthy.basis import Columns
+from twin.elements.ambient_loss import AmbientLoss
 
 
 def test_an_error_beyond_what_a_thermometer_may_have_is_not_claimed(brisk: Bench, brisk_healthy: Columns) -> None:
@@ -38,3 +39,18 @@ def test_all_or_nothing_of_a_share_is_a_size_like_others(brisk: Bench, kind: str
             assert c.at_bound(c.upper) and c.at_bound(c.lower) and not c.at_bound(0.5 * c.upper)
         if (c.kind, c.where) == (kind, where) and c.sticks:
             assert not c.at_bound(1.0) and c.at_bound(0.0)
+
+
+@pytest.mark.parametrize("changed", ["tank_loss.hA", "fins.UA_still"])
+def test_a_loss_may_grow_up_to_the_bound_of_its_parameter(bench: Bench, changed: str) -> None:
+    """A rig of kilowatts loses more than one of watts."""
+    for upper in (50.0, 400.0):
+        p = replace(bench.network.parameters[changed], upper=upper)
+        network = replace(bench.network, parameters={**bench.network.parameters, changed: p})
+        (found,) = (c for c in catalogue(network) if [*c.changes] == [changed])
+        assert found.upper == upper - p.value
+
+
+def test_the_bound_of_a_new_loss_is_that_of_its_parameter(bench: Bench) -> None:
+    new = {c.driver: c for c in catalogue(bench.network) if c.kind == "heat_loss" and c.where == "radiator" and c.adds}
+    assert new["temperature_difference"].upper == AmbientLoss.upper_of("hA") == 1000.0

@@ -115,6 +115,38 @@ def test_beside_heat_that_is_there_at_once_a_lesser_effect_is_told(brisk: Bench,
     assert {(e.kind, e.where) for e in found.effects} == {("heat_source", "modules"), ("sensor", "T_heater_C")}
 
 
+def test_a_loss_that_changes_twice_is_told_twice(brisk: Bench, brisk_healthy: Columns) -> None:
+    """As on a rig whose cooler is cleaned in two steps. The room was not measured but assumed."""
+    network, room = brisk.network, brisk.network.input_columns.index("T_ambient_C")
+    t, u = brisk.inputs(16.0, 4)
+    u[:, room] = 22.0
+    more = [network, *(network.with_values({"tank_loss.hA": hA}) for hA in (5.0, 9.0))]
+    cuts = [0, *(int(np.searchsorted(t, hours * HOUR)) for hours in (4.0, 9.0)), len(t) - 1]
+    state, read = np.array([37.0, 36.8, 34.5, 34.0]), []
+    for rig, first, last in zip(more, cuts[:-1], cuts[1:], strict=True):
+        y, ends = Kernel(rig, ()).trace(rig.values, state, t[first : last + 1], u[first : last + 1])
+        read.append(y[0][: last - first])
+        state = ends[0][: len(network.nodes)]
+    measured = np.vstack(read)
+    measured += network.sigma * np.random.default_rng(1).normal(0.0, 1.0, measured.shape)
+    still = brisk_healthy.inputs.copy()
+    still[:, room] = 22.0
+    y, _ = Kernel(network, ()).trace(network.values, brisk_healthy.measured[0], brisk_healthy.time_s, still)
+    known = y[0] + network.sigma * np.random.default_rng(2).normal(0.0, 1.0, y[0].shape)
+    found = diagnose(
+        network,
+        Columns(t[: len(measured)], u[: len(measured)], measured),
+        replace(brisk_healthy, inputs=still, measured=known),
+    )
+    assert [(e.kind, e.where) for e in found.effects] == 2 * [("heat_loss", "tank")]
+    sizes = sorted((e.onset_s / HOUR, e.value) for e in found.effects)
+    before = network.parameters["tank_loss.hA"].value
+    assert sizes[0] == pytest.approx((4.0, 5.0 - before), rel=0.02)
+    assert sizes[1] == pytest.approx((9.0, 4.0), rel=0.02)
+    assert found.network is not None and found.network.parameters["tank_loss.hA"].value == pytest.approx(9.0, rel=0.02)
+    assert all(a.where != "T_ambient_C" for a in (*found.indistinguishable, *found.alternatives))
+
+
 def test_two_things_at_one_moment_are_one_cause_that_no_law_describes(brisk: Bench, brisk_healthy: Columns) -> None:
     both = brisk.with_values(modules_power__power=150.0, T_tank_C__bias_K=2.0)
     found = diagnose(brisk.network, brisk.record(changed=both, onset_h=3.0), brisk_healthy)

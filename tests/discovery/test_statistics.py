@@ -43,6 +43,23 @@ def test_structure_is_expected_to_follow_what_moves(size: float) -> None:
         assert 0.4 < power < 2.5, (b, power)
 
 
+@pytest.mark.parametrize("follows", [True, False])
+def test_a_calm_record_has_less_error_only_where_the_calm_parts_of_the_healthy_one_have(follows: bool) -> None:
+    """Of the healthy record the last three quarters are calm, as they are where a rig warms up and then runs on."""
+    readings, residual = _moving(3600, 1.0, 1)
+    calm = np.where(np.arange(3600) < 900, 1.0, 0.1)[:, None]
+    moved = 30.0 + calm * (readings - 30.0)
+    error = calm * (residual - residual.mean(axis=0)) if follows else residual
+    white = np.random.default_rng(3).normal(0.0, SIGMA, (3600, 2))
+    learned = learn(error + white, SIGMA, STEP_S, moved)
+    assert (learned.follows == 1.0) is follows
+    now, _ = _moving(3600, 0.1, 2)
+    expected = learned.where_moved(now, STEP_S)
+    same = learned.where_moved(moved, STEP_S)
+    assert (expected.sd[1:3] < 0.8 * same.sd[1:3]).all() == follows
+    assert learned.at_step(20.0).follows == learned.follows
+
+
 def test_what_hardly_moves_still_has_the_noise_of_its_thermometers() -> None:
     readings, residual = _moving(3600, 1.0, 1)
     expected = learn(residual, SIGMA, STEP_S, readings).where_moved(np.full((3600, 2), 30.0), STEP_S)

@@ -17,7 +17,7 @@ from twin.discovery.evidence.hypotheses import Class, Found, Hypothesis, Place, 
 from twin.discovery.evidence.marginal import form_quadratic, joint, log_widths, widths
 from twin.discovery.evidence.part import Part, continued, fitted, gains, slower
 from twin.discovery.evidence.priors import CLAIM, FAULT, UNLISTED
-from twin.discovery.evidence.scan import logsumexp, refined, scan
+from twin.discovery.evidence.scan import STEADY, logsumexp, refined, scan
 from twin.discovery.places.localise import WALK_PER_BLOCK
 from twin.discovery.refit.fitting import AGAIN, Fit
 from twin.discovery.scoring.score_tests import ScoreTest
@@ -114,8 +114,12 @@ def leading(entries: list[Entry], prior: Prior) -> list[Entry]:
         claim = entry.label, entry.shape.name
         if taken[claim] and entry.shape.name in TIMED:
             continue
-        if taken[class_of(entry)] < PER_CLASS and not (found and entry.log_bayes <= 0.0):
+        # What changes twice resembles a law of some driver; by itself its own law may come behind those.
+        steady = class_of(entry), entry.candidate.driver in STEADY
+        room = taken[class_of(entry)] < PER_CLASS or (steady[1] and not taken[steady])
+        if room and not (found and entry.log_bayes <= 0.0):
             taken[class_of(entry)] += 1
+            taken[steady] += 1
             taken[claim] += 1
             found.append(entry)
         if len(found) == LEADING:

@@ -22,6 +22,12 @@ CAUTION = (4.0, 2.0, 1.5, 1.2, 1.1, 1.1)
 """Factor on the variance of each band: a healthy record of ten hours has few of the longest periods."""
 LEAST_SHARE, MOST_SHARE = 0.04, 16.0
 """Limits of the model error's variance, as a multiple of that in the healthy record."""
+EXPONENTS = (1.0, 0.75, 0.5, 0.25, 0.0)
+"""Powers of the readings' power that the model error's power may follow, tried from the first one on."""
+PARTS = 4
+"""Parts of a healthy record, of which some may move less than others."""
+SURELY = 1.92
+"""Log likelihood by which a lower power has to be likelier: half the 95 % quantile of chi-squared of one variable."""
 SHRINK = 0.3
 """Relative shrinkage of each covariance's off-diagonal."""
 
@@ -32,7 +38,8 @@ class Noise:
 
     `roots` (bands, m, m) with roots @ roots' = covariance^-1 of one bin of `step_s`; `sd` (bands, m), K; `white` (m,),
     K, noise of the thermometers alone in a bin; `moves` (bands,), K^2, power of the twin's readings in the record that
-    it was learned from, or None if it holds for that record alone.
+    it was learned from, or None if it holds for that record alone; `follows`, the power of a calmer record's moves that
+    the model error's power goes with.
     """
 
     roots: Array
@@ -40,6 +47,7 @@ class Noise:
     step_s: float
     white: Array
     moves: Array | None = None
+    follows: float = 1.0
 
     def where_moved(self, readings: Array, step_s: float) -> Noise:
         """Return the noise to expect in a record in which the twin's readings (n, m), degC, are these.
@@ -47,11 +55,14 @@ class Noise:
         The model error of a lumped twin is proportional to the variation: measured on a distributed plant, its
         standard deviation follows that of the twin's readings, band by band, within a few per cent. The part beyond the
         thermometers' own noise is therefore scaled by it. The slowest band, of too few coefficients, is only scaled up.
+        A rig may have errors that its twin's readings do not follow, though. If the calm parts of the healthy record
+        have more error than by this rule, that of a calmer record falls by a lower power of its moves.
         """
         if self.moves is None:
             return self
         now = power(readings, step_s) * step_s
         ratio = np.clip(now / np.maximum(self.moves * self.step_s, 1e-12), LEAST_SHARE, MOST_SHARE)
+        ratio = np.where(ratio < 1.0, ratio**self.follows, ratio)
         ratio[0] = max(ratio[0], 1.0)
         roots, sd = self.roots.copy(), self.sd.copy()
         floor = np.diag(self.white**2)
@@ -116,7 +127,7 @@ class Noise:
         """Return the same noise for means over bins of another length."""
         share = np.sqrt(step_s / self.step_s)
         moves = None if self.moves is None else self.moves / share**2
-        return Noise(self.roots * share, self.sd / share, step_s, self.white / share, moves)
+        return Noise(self.roots * share, self.sd / share, step_s, self.white / share, moves, self.follows)
 
 
 def bands(n: int, step_s: float) -> np.ndarray:
@@ -164,7 +175,36 @@ def learn(residual: Array, sigma: Array, step_s: float, readings: Array | None =
         # The white noise is known; a band quieter than that is chance.
         short = np.maximum(np.diag(floor) - np.diag(covariance), 0.0)
         roots[b], sd[b] = _root((covariance + np.diag(short)) * CAUTION[b])
-    return Noise(roots, sd, step_s, sigma, None if readings is None else power(readings, step_s))
+    if readings is None:
+        return Noise(roots, sd, step_s, sigma)
+    return Noise(roots, sd, step_s, sigma, power(readings, step_s), _exponent(residual, sigma, step_s, readings))
+
+
+def _exponent(residual: Array, sigma: Array, step_s: float, readings: Array) -> float:
+    """Return the power of the readings' power, in parts of a healthy record, that the model error's power goes with.
+
+    In each band and part the coefficients of the residual, relative to noise, have the variance 1 + a m^p, with m the
+    power of the readings. Of the `EXPONENTS` p it is the first, unless another is surely likelier.
+    """
+    length = len(residual) // PARTS
+    if length < 2:
+        return EXPONENTS[0]
+    band = bands(length, step_s)
+    rows = [slice(k * length, (k + 1) * length) for k in range(PARTS)]
+    c = [dct(residual[r] / sigma, type=2, norm="ortho", axis=0) for r in rows]
+    squares = np.array([[(part[band == b] ** 2).sum() for b in range(len(EDGES_S) + 1)] for part in c])
+    count = np.bincount(band, minlength=len(EDGES_S) + 1) * residual.shape[1]
+    moves = np.array([power(readings[r], step_s) for r in rows])
+    known = (count > 0) & (moves > 0.0).all(axis=0)
+    squares, count, moves = squares[:, known], count[known], moves[:, known]
+    found = []
+    for exponent in EXPONENTS:
+        relative = (moves / moves.mean(axis=0)) ** exponent
+        scale = np.maximum(squares - count, 0.0).sum(axis=0) / (count * relative.sum(axis=0))
+        variance = 1.0 + scale * relative
+        found.append(-0.5 * float((count * np.log(variance) + squares / variance).sum()))
+    best = int(np.argmax(found))
+    return EXPONENTS[best] if found[best] > found[0] + SURELY else EXPONENTS[0]
 
 
 def _root(covariance: Array) -> tuple[Array, Array]:
