@@ -28,9 +28,9 @@ from twin.discovery.effects.phrases import clock, said
 from twin.discovery.effects.probe import FreeRun
 from twin.discovery.effects.shapes import TIMED
 from twin.discovery.evidence.commissioned import nothing, retuned_alone
-from twin.discovery.evidence.finding import Finding
+from twin.discovery.evidence.finding import Finding, Ranked
 from twin.discovery.evidence.held_out import contradicted, misled
-from twin.discovery.evidence.priors import DRIVERS
+from twin.discovery.evidence.priors import DRIVERS, FAULT
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.places.empirical import Empirical, TooMuchHeat, offer
 from twin.discovery.places.localise import describe
@@ -184,12 +184,11 @@ def _at_one_moment(case: AssessedFinding) -> tuple[str, ...]:
 def _one_curve(case: AssessedFinding) -> Empirical | TooMuchHeat | None:
     """Return the curve of one input at one place that replaces several effects which all follow that input.
 
-    Independent faults rarely follow one input; the held-out segment has to contradict the single cause. What changes
-    twice by one law is no such case.
+    Independent faults rarely follow one input; the held-out segment has to contradict the single cause.
     """
-    entries = case.finding.entries
-    laws, drivers = {e.candidate.id for e in entries}, {e.driver for e in entries}
-    if len(entries) < 2 or len(laws) < len(entries) or len(drivers) > 1 or not drivers <= DRIVERS.keys():
+    finding = case.finding
+    least = finding.ranked[0].cost if finding.ranked else 0.0
+    if not any(r.cost + 2.0 * (len(r.entries) - 1) * math.log(FAULT) <= least for r in finding.ranked if _alike(r)):
         return None
     curve = _offered(case)
     if not isinstance(curve, Empirical):
@@ -198,6 +197,12 @@ def _one_curve(case: AssessedFinding) -> Empirical | TooMuchHeat | None:
         n: replace(e, means=(*e.means[:2], curve.errors[n][1])) for n, e in case.errors.items() if n in curve.errors
     }
     return None if contradicted(errors, case.known.probe.network) else curve
+
+
+def _alike(ranked: Ranked) -> bool:
+    """Return True for effects of different laws that all follow one input: as one cause they are one fault."""
+    laws, drivers = {e.candidate.id for e in ranked.entries}, {e.driver for e in ranked.entries}
+    return len(laws) == len(ranked.entries) > 1 == len(drivers) and drivers <= DRIVERS.keys()
 
 
 def _offered(case: AssessedFinding) -> Empirical | TooMuchHeat | None:

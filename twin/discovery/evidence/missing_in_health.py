@@ -141,7 +141,7 @@ def with_missing_beside(part: Part, fit: Fit, further: Sequence[Entry]) -> Basis
     score_test.take(fit.residual, fit.moved)
     beside = joint(score_test, tuple(e.refreshed(score_test) for e in fit.entries))
     columns, count = _columns_of(part, score_test, further, amounts, prior, beside), len(further)
-    likeliest, odds = _possible(columns, (), amounts.candidates)
+    likeliest, odds = _possible(columns, (), amounts.candidates, amounts)
     if odds <= max(float(columns.odds(np.arange(count)[None])[0]), 0.0):
         return known
     return _joined(known, known.structure, columns, amounts, likeliest)
@@ -163,18 +163,32 @@ def _joined(
     return replace(known, structure=structure, missing=told)
 
 
-def _possible(columns: _Columns, begun: Sequence[int], laws: Sequence[Candidate]) -> tuple[tuple[int, ...], float]:
-    """Return the likeliest set of the effects `begun` and of laws, the last columns, with sizes within their bounds."""
+def _possible(
+    columns: _Columns, begun: Sequence[int], laws: Sequence[Candidate], amounts: Amplitudes | None = None
+) -> tuple[tuple[int, ...], float]:
+    """Return the likeliest set of the effects `begun` and of laws, the last columns, with sizes within their bounds.
+
+    Args:
+        amounts: of the laws in the healthy record, which by itself must not rule out the set, whatever the present
+            record gains by it.
+    """
     first = len(columns.score) - len(laws)
     others = [*begun, *range(first, len(columns.score))]
     while True:
         found, odds = columns.likeliest((), others)
         sizes = columns.sizes(found)
-        outside = {
-            i
-            for i, size in zip(found, sizes, strict=True)
-            if i >= first and not laws[i - first].lower <= size <= laws[i - first].upper
-        }
+        of_laws = {i: float(size) for i, size in zip(found, sizes, strict=True) if i >= first}
+        outside = {i for i, size in of_laws.items() if not laws[i - first].lower <= size <= laws[i - first].upper}
+        if not outside and amounts is not None and of_laws:
+            every = np.zeros(len(laws))
+            every[[i - first for i in of_laws]] = [*of_laws.values()]
+            if amounts.log_ratio(every) < -CLAIM:
+                outside = {
+                    min(
+                        of_laws,
+                        key=lambda i: amounts.log_ratio(np.where(np.arange(len(laws)) == i - first, every, 0.0)),
+                    )
+                }
         if not outside:
             return found, odds
         others = [i for i in others if i not in outside]

@@ -48,6 +48,10 @@ class Amplitudes:
     score: Array
     moves: Array
 
+    def log_ratio(self, sizes: Array) -> float:
+        """Return the log likelihood ratio of these sizes (l,) over none of the laws, in the healthy record."""
+        return float(self.score @ sizes - 0.5 * sizes @ self.precision @ sizes)
+
     def with_open(self, candidates: Sequence[Candidate]) -> Amplitudes:
         """Return the amplitudes with those of further laws, of which the healthy record says nothing."""
         known = {c.id for c in self.candidates}
