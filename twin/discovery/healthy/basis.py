@@ -26,6 +26,8 @@ from twin.discovery.scoring.structure import Structure
 from twin.gauss_newton import GaussianPrior
 from twin.network import Array, Network, TwinFileError
 
+ROUNDING = 1e-9
+"""Share of a value by which means of equal samples may differ."""
 BETTER = 0.9
 """Ratio of squares on a healthy record below which an older twin replaces a newer one."""
 
@@ -145,7 +147,8 @@ class Basis:
         No thermometer of theirs can have failed.
         """
         columns = self.probe.network.input_columns
-        alike = (np.ptp(grid.inputs, axis=0) == 0.0) & (self.tried == grid.inputs[0]).all(axis=0)
+        every = np.vstack([grid.inputs, self.tried])
+        alike = np.ptp(every, axis=0) <= ROUNDING * np.abs(every).max(axis=0)
         return frozenset(c for c, same in zip(columns, alike, strict=True) if same and c.endswith("_C"))
 
     @property
