@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,6 @@ from twin.calibrators.hiera_unet.serve import agreement, gates
 from twin.calibrators.hiera_unet.serve.agreement import Spoken
 from twin.calibrators.hiera_unet.serve.gates import Evidently, Reason
 from twin.calibrators.hiera_unet.serve.history import History
-from twin.calibrators.hiera_unet.serve.members import Ensemble, Said
 from twin.calibrators.hiera_unet.serve.proposal import Proposal
 from twin.calibrators.posterior import STATE_SD, window_data
 from twin.calibrators.results import CalibrationReport, WindowFit, fitted_calibration
@@ -37,6 +36,9 @@ from twin.calibrators.windows import WindowSamples, make_window
 from twin.gauss_newton import fit_initial_state
 from twin.network import Array, Network
 from twin.quantiles import NORMAL90
+
+if TYPE_CHECKING:  # These need torch; `HieraUNetCalibrator.shipped` reports its absence.
+    from twin.calibrators.hiera_unet.serve.members import Ensemble, Said
 
 CYCLE_S = 300.0
 RECORDS = 288
