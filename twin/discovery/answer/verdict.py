@@ -30,7 +30,7 @@ from twin.discovery.effects.shapes import TIMED
 from twin.discovery.evidence.commissioned import nothing, retuned_alone
 from twin.discovery.evidence.finding import Finding, Ranked
 from twin.discovery.evidence.held_out import contradicted, misled
-from twin.discovery.evidence.priors import DRIVERS, FAULT
+from twin.discovery.evidence.priors import DRIVERS
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.places.empirical import Empirical, TooMuchHeat, offer
 from twin.discovery.places.localise import describe
@@ -186,9 +186,8 @@ def _one_curve(case: AssessedFinding) -> Empirical | TooMuchHeat | None:
 
     Independent faults rarely follow one input; the held-out segment has to contradict the single cause.
     """
-    finding = case.finding
-    least = finding.ranked[0].cost if finding.ranked else 0.0
-    if not any(r.cost + 2.0 * (len(r.entries) - 1) * math.log(FAULT) <= least for r in finding.ranked if _alike(r)):
+    ranked = case.finding.ranked
+    if not ranked or max((_odds_as_one(r) for r in ranked if _alike(r)), default=-math.inf) < -0.5 * ranked[0].cost:
         return None
     curve = _offered(case)
     if not isinstance(curve, Empirical):
@@ -203,6 +202,12 @@ def _alike(ranked: Ranked) -> bool:
     """Return True for effects of different laws that all follow one input: as one cause they are one fault."""
     laws, drivers = {e.candidate.id for e in ranked.entries}, {e.driver for e in ranked.entries}
     return len(laws) == len(ranked.entries) > 1 == len(drivers) and drivers <= DRIVERS.keys()
+
+
+def _odds_as_one(ranked: Ranked) -> float:
+    """Return the log posterior odds of effects with the prior of a single fault."""
+    log_prior = -0.5 * ranked.cost - ranked.log_bayes
+    return ranked.log_bayes + log_prior / len(ranked.entries)
 
 
 def _offered(case: AssessedFinding) -> Empirical | TooMuchHeat | None:
