@@ -127,8 +127,8 @@ def apart(candidate: Candidate, others: Sequence[Entry]) -> bool:
 
 
 def _adds_up(candidate: Candidate) -> bool:
-    """Return True if two changes of a law are one of the sum of their sizes."""
-    return not (candidate.inverse or candidate.begins or candidate.sticks or candidate.passes)
+    """Return True for a named law of which two changes are one of the sum of their sizes."""
+    return not (candidate.is_open or candidate.inverse or candidate.begins or candidate.sticks or candidate.passes)
 
 
 def place_of(candidate: Candidate) -> Place:
