@@ -98,6 +98,18 @@ def test_beside_a_large_effect_a_law_is_no_change_that_the_healthy_record_leaves
     assert any("follows its command late" in note for note in found.notes) is not told, found.notes
 
 
+@pytest.mark.parametrize("measured", [True, False])
+def test_a_room_that_nobody_measured_has_no_thermometer_that_could_fail(brisk: Bench, measured: bool) -> None:
+    """Its column has one value throughout; means of equal samples may differ by rounding."""
+    record = brisk.record(4.0)
+    if not measured:
+        record.inputs[:, brisk.network.input_columns.index("T_ambient_C")] = 22.1
+    grid = on_grid(brisk.network, record.time_s, record.inputs, record.measured)
+    known = basis(brisk.network, None, grid)
+    part = Part.of(known, grid)
+    assert ("T_ambient_C" in {law.candidate.where for law in part.laws}) is measured
+
+
 def test_a_twin_that_is_its_rig_lacks_nothing(bench: Bench, healthy: Columns) -> None:
     known, part = known_of(bench, healthy, bench.record(16.0, seed=4))
     assert with_missing(part) is known

@@ -43,7 +43,7 @@ class Conduction(Element):
                 "W/K",
                 1.0,
                 0.0,
-                1.0 / cls.parameters[0].lower,
+                1.0 / cls.parameters[0].lower,  # of the resistance
                 f"exchanges heat with {a}, {{value}}",
                 adds={name: {"kind": cls.kind, "from": a, "to": b}},
                 inverse=True,

@@ -187,7 +187,9 @@ def _one_curve(case: AssessedFinding) -> Empirical | TooMuchHeat | None:
     Independent faults rarely follow one input; the held-out segment has to contradict the single cause.
     """
     ranked = case.finding.ranked
-    if not ranked or max((_odds_as_one(r) for r in ranked if _alike(r)), default=-math.inf) < -0.5 * ranked[0].cost:
+    if len(case.finding.entries) < 2 or not ranked:
+        return None
+    if max((_odds_as_one(r) for r in ranked if _alike(r)), default=-math.inf) < -0.5 * ranked[0].cost:
         return None
     curve = _offered(case)
     if not isinstance(curve, Empirical):

@@ -243,7 +243,7 @@ class Joint:
         found: Array = score_test.score - self.onto @ (self.root.T @ pull)
         return found
 
-    def left_of(self, seen: Array, gram: Array, score: Array) -> tuple[Array, Array]:
+    def reduced(self, seen: Array, gram: Array, score: Array) -> tuple[Array, Array]:
         """Return the Gram matrix (c, c) and score (c,) of signatures `seen` (b * m, c) with these effects integrated
         out.
 

@@ -136,7 +136,9 @@ def with_missing_beside(part: Part, fit: Fit, further: Sequence[Entry]) -> Basis
     candidates = [law.candidate for law in part.laws]
     amounts = _amounts_of(known, known.health, candidates)
     if known.earlier is None:
-        amounts = amounts.with_open([c for c in candidates if not c.is_open])
+        amounts = amounts.with_unknown([c for c in candidates if not c.is_open])
+    if not amounts.candidates:
+        return known
     prior, score_test = Prior([*part.laws, *part.opened]), copy.copy(part.score_test)
     score_test.take(fit.residual, fit.moved)
     beside = joint(score_test, tuple(e.refreshed(score_test) for e in fit.entries))
@@ -260,7 +262,7 @@ def _columns_of(
     seen = np.concatenate([there, here], axis=1)
     _, gram, score = score_test.beside_tunables(seen)
     if beside is not None:
-        gram, score = beside.left_of(seen, gram, score)
+        gram, score = beside.reduced(seen, gram, score)
     sizes = np.array([e.size for e in effects])
     wide = [
         *widths(np.array([e.candidate.typical for e in effects]), sizes) ** -2.0,
@@ -275,6 +277,7 @@ def _columns_of(
         pull=np.concatenate([np.zeros(count), amounts.score]),
         log_prior=np.array([prior.of(e) + e.log_occam for e in effects] + missing),
     )
+    # Beside others an effect was scanned without them, so that its own evidence says nothing here.
     for i, entry in enumerate(effects if beside is None else ()):
         # What bounds and unknown times make of an effect's evidence is no matter of its neighbours.
         columns.log_prior[i] += entry.log_bayes + prior.of(entry) - float(columns.odds(np.array([[i]]))[0])

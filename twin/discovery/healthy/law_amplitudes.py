@@ -52,7 +52,7 @@ class Amplitudes:
         """Return the log likelihood ratio of these sizes (l,) over none of the laws, in the healthy record."""
         return float(self.score @ sizes - 0.5 * sizes @ self.precision @ sizes)
 
-    def with_open(self, candidates: Sequence[Candidate]) -> Amplitudes:
+    def with_unknown(self, candidates: Sequence[Candidate]) -> Amplitudes:
         """Return the amplitudes with those of further laws, of which the healthy record says nothing."""
         known = {c.id for c in self.candidates}
         others = tuple(c for c in candidates if c.id not in known)

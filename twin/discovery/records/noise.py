@@ -23,9 +23,10 @@ CAUTION = (4.0, 2.0, 1.5, 1.2, 1.1, 1.1)
 LEAST_SHARE, MOST_SHARE = 0.04, 16.0
 """Limits of the model error's variance, as a multiple of that in the healthy record."""
 EXPONENTS = (1.0, 0.75, 0.5, 0.25, 0.0)
-"""Powers of the readings' power that the model error's power may follow, tried from the first one on."""
+"""Powers of the readings' power that the model error's power may follow. A judgement: finer steps are hardly
+identifiable."""
 PARTS = 4
-"""Parts of a healthy record, of which some may move less than others."""
+"""Parts of a healthy record, of which some may move less than others. A judgement: each holds some load changes."""
 SURELY = 1.92
 """Log likelihood by which a lower power has to be likelier: half the 95 % quantile of chi-squared of one variable."""
 SHRINK = 0.3
