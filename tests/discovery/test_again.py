@@ -87,13 +87,13 @@ def test_a_healthy_record_from_before_an_adoption_is_read_by_the_twin_of_then(br
     assert gone.effects[0].value == pytest.approx(-120.0, rel=0.03)
 
 
-def test_heat_that_was_taken_for_constant_is_not_believed_where_it_follows_the_fan(bench: Bench) -> None:
+def test_heat_that_was_taken_for_constant_is_not_believed_where_it_follows_the_fan(brisk: Bench) -> None:
     """Two laws at one place are one thing; the place, and what it follows, are told."""
-    own = bench.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 60.0})
-    truth = bench.with_element(
+    own = brisk.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 60.0})
+    truth = brisk.with_element(
         "fan", {"kind": "heat_source", "node": "tank", "driver": "fan_speed_pct", "law": "cubed", "power_100": 120.0}
     )
-    answer = diagnose(own, Bench(truth).record(16.0), Bench(own).record(10.0, seed=7))
+    answer = diagnose(own, brisk.of(truth).record(16.0), brisk.of(own).record(10.0, seed=7))
     assert answer.verdict == "effect found" and answer.network is None
     (unknown,) = answer.effects
     assert (unknown.where, unknown.driver) == ("tank", "fan_speed") and unknown.shape == "own course"

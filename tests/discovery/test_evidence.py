@@ -207,21 +207,38 @@ def test_two_effects_with_the_same_turns_are_no_two_faults() -> None:
     assert coinciding((back(0.4 * span), back(0.41 * span)), span, 15.0) is None
 
 
-def test_a_thermometer_that_sticks_is_told_with_its_level(bench: Bench, healthy: Columns) -> None:
-    record = bench.record(10.0, seed=4)
-    j = bench.network.sensor_names.index("T_radiator_C")
+@pytest.mark.parametrize(("sensor", "since_h", "until_h"), [("T_heater_C", 5.0, 9.0), ("T_radiator_C", 5.0, 12.0)])
+def test_a_thermometer_that_sticks_is_told_with_its_level(
+    brisk: Bench, brisk_healthy: Columns, sensor: str, since_h: float, until_h: float
+) -> None:
+    """Whatever error of gain resembles it as long as its level is not known."""
+    record = brisk.record(16.0, seed=4)
+    j = brisk.network.sensor_names.index(sensor)
     measured = record.measured.copy()
-    first = int(np.searchsorted(record.time_s, 3.0 * 3600.0))
-    stuck = slice(first, int(np.searchsorted(record.time_s, 7.0 * 3600.0)))
-    level = float(measured[first - 60 : first, j].mean())
-    noise = bench.network.sigma[j] * np.random.default_rng(3).normal(0.0, 1.0, len(measured[stuck]))
-    measured[stuck, j] = level + noise
-    found = diagnose(bench.network, replace(record, measured=measured), healthy)
+    first, last = (int(np.searchsorted(record.time_s, hours * HOUR)) for hours in (since_h, until_h))
+    level = float(measured[first - 12 : first, j].mean())
+    noise = brisk.network.sigma[j] * np.random.default_rng(3).normal(0.0, 1.0, last - first)
+    measured[first:last, j] = level + noise
+    found = diagnose(brisk.network, replace(record, measured=measured), brisk_healthy)
     effect = only(found)
-    assert (effect.kind, effect.where, effect.unit) == ("sensor", "T_radiator_C", "1")
-    assert effect.value == pytest.approx(1.0, abs=0.05) and effect.onset_s == pytest.approx(3.0 * 3600.0, abs=300.0)
-    told = re.search(r"T_radiator_C sticks at ([0-9.]+) degC", found.summary)
-    assert told is not None and float(told[1]) == pytest.approx(level, abs=0.3)
+    assert (effect.kind, effect.where, effect.unit, effect.shape) == ("sensor", sensor, "1", "spell")
+    assert effect.value == pytest.approx(1.0, abs=0.05) and effect.onset_s == pytest.approx(since_h * HOUR, abs=60.0)
+    told = re.search(rf"{sensor} sticks at ([0-9.]+) degC", found.summary)
+    assert told is not None and float(told[1]) == pytest.approx(level, abs=0.1)
+
+
+def test_a_thermometer_at_another_place_reads_all_of_its_temperature(brisk: Bench, brisk_healthy: Columns) -> None:
+    """A share of 1 is all that there is, and no size on a bound."""
+    record = brisk.record(16.0, seed=4)
+    tank, radiator = (brisk.network.sensor_names.index(name) for name in ("T_tank_C", "T_radiator_C"))
+    measured, other = record.measured.copy(), brisk.record(16.0, seed=4, noise=0.0).measured[:, tank]
+    noise = measured[:, radiator] - brisk.record(16.0, seed=4, noise=0.0).measured[:, radiator]
+    moved = record.time_s > 6.0 * HOUR
+    measured[moved, radiator] = (other + noise)[moved]
+    found = diagnose(brisk.network, replace(record, measured=measured), brisk_healthy)
+    effect = only(found)
+    assert (effect.kind, effect.where, effect.driver) == ("sensor", "T_radiator_C", "temperature_difference")
+    assert effect.value == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_pulse_of_heat_is_told_by_its_energy(bench: Bench, healthy: Columns) -> None:

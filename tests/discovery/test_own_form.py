@@ -8,12 +8,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.discovery.conftest import Bench
+from tests.discovery.conftest import HOUR, Bench
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns
 from twin.kernel import Kernel
 
-PIECE_S = 300.0
+PIECE_S = HOUR / 12
 
 
 def growing(bench: Bench, amount: Callable[[float], float], **coming: float) -> Columns:
@@ -33,12 +33,10 @@ def growing(bench: Bench, amount: Callable[[float], float], **coming: float) -> 
     return Columns(t[:-1], u[:-1], y + bench.network.sigma * np.random.default_rng(3).normal(0.0, 1.0, y.shape))
 
 
-def test_fouling_that_ends_in_the_last_hours_is_one_effect(bench: Bench, healthy: Columns) -> None:
-    change = -0.35 * bench.network.parameters["fins.UA_100"].value
-    record = growing(
-        bench, lambda t: float(np.clip((t - 3.0 * 3600.0) / (13.6 * 3600.0), 0.0, 1.0)), fins__UA_100=change
-    )
-    found = diagnose(bench.network, record, healthy)
+def test_fouling_that_ends_in_the_last_hours_is_one_effect(brisk: Bench, brisk_healthy: Columns) -> None:
+    change = -0.35 * brisk.network.parameters["fins.UA_100"].value
+    record = growing(brisk, lambda t: float(np.clip((t - 3.0 * HOUR) / (13.6 * HOUR), 0.0, 1.0)), fins__UA_100=change)
+    found = diagnose(brisk.network, record, brisk_healthy)
     assert found.verdict == "effect found"
     (effect,) = found.effects
     assert (effect.kind, effect.where, effect.driver) == ("heat_rejection", "radiator", "elapsed_time")

@@ -105,9 +105,9 @@ def test_a_hose_of_some_litres_is_found_though_its_score_promises_nothing(
 
 
 @pytest.mark.parametrize("onset_h", [6.0, 0.0])
-def test_without_a_healthy_record_what_is_late_is_told_only_where_it_came_in(bench: Bench, onset_h: float) -> None:
+def test_without_a_healthy_record_what_is_late_is_told_only_where_it_came_in(brisk: Bench, onset_h: float) -> None:
     """However large: how much of it a twin of mixed volumes leaves all along nobody has said."""
-    later = bench.with_values(T_heater_C__lag_s=60.0)
-    found = diagnose(bench.network, bench.record(16.0, seed=4, changed=later, onset_h=onset_h))
+    later = brisk.with_values(T_heater_C__lag_s=60.0)
+    found = diagnose(brisk.network, brisk.record(16.0, seed=4, changed=later, onset_h=onset_h))
     told = {(e.kind, e.where, e.driver) for e in found.effects}
     assert (("sensor", "T_heater_C", "rate_of_change") in told) == (onset_h > 0.0)

@@ -44,6 +44,8 @@ class Candidate:
         Size that a twin of mixed volumes may seem to lack, more without pipes, without any fault.
     near
         Function that makes similar forms, which are tested where this one scores.
+    at_level
+        Of a thermometer that sticks: function that makes the same at a level, degC, which a record shows.
     begins
         Input column whose temperature an added mass has at its onset, or "" for that of its place.
     slow_s, slower
@@ -71,6 +73,7 @@ class Candidate:
     shapes: tuple[str, ...] = (*STAYING, *PASSING)
     lumped: float = 0.0
     near: Callable[[], tuple[Candidate, ...]] | None = None
+    at_level: Callable[[float], Candidate] | None = None
     begins: str = ""
     slow_s: float = 0.0
     slower: Callable[[float], Candidate] | None = None

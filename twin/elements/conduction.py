@@ -21,7 +21,7 @@ class Conduction(Element):
 
     kind: ClassVar[str] = "conduction"
     parameters: ClassVar[tuple[ParameterSpec, ...]] = (
-        ParameterSpec("resistance", "K/W", None, 2.0e-3, 1.0e6, "tunable", "effective resistance between the two"),
+        ParameterSpec("resistance", "K/W", None, 2.0e-4, 1.0e6, "tunable", "effective resistance between the two"),
     )
 
     a: str = place("node", "one end", key="from")

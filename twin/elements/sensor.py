@@ -124,7 +124,7 @@ class Sensor(Element):
             now_c = sites.values[f"{self.name}.cross_talk"]
             says = f"picks up another share of the temperature of {self.other}: a change by {{value}}"
             share = self.parameter_candidate(
-                "cross_talk", *sensor, "temperature_difference", EffectSize("1", 0.02, -now_c, 0.9 - now_c), says
+                "cross_talk", *sensor, "temperature_difference", EffectSize("1", 0.02, -now_c, 1.0 - now_c), says
             )
             return (*found, share)
         for other in sites.nodes:
@@ -139,7 +139,7 @@ class Sensor(Element):
                         "1",
                         0.02,
                         0.0,
-                        0.9,
+                        1.0,
                         says,
                         replaces={self.name: {"other": other}},
                     )
@@ -197,6 +197,7 @@ class Sensor(Element):
             },
             shapes=("step",) if apart_c == STUCK_APART_K else (*STAYING, *PASSING),
             near=near if finer else None,
+            at_level=lambda level_c: self._stuck(where, level_c, 0.5 * STUCK_APART_K),
         )
 
     def _stuck_otherwise(self, where: str, values: Mapping[str, float]) -> Candidate:
@@ -212,6 +213,7 @@ class Sensor(Element):
             upper=1.0 - share,
             adds={},
             near=None,
+            at_level=None,
         )
 
     def emit(self, n: Names) -> Fragment:

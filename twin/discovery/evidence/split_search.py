@@ -13,7 +13,6 @@ from functools import cached_property
 import numpy as np
 
 from twin.discovery.diagnosis import SensorError
-from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.evidence.finding import Finding, Ranked
 from twin.discovery.evidence.held_out import HeldOutRecord
 from twin.discovery.evidence.hypotheses import Found, Hypothesis, Prior, apart, class_of
@@ -40,6 +39,8 @@ STILL_HELD = 0.4
 WELL_SEEN, KEPT = LAST_SHARE - 0.01, 6
 """Share of a part within which a search finds an onset whatever its block edges, and bins that stay held out even then.
 """
+STOOD = (0.03, 0.1, 0.3)
+"""Shares of a record for which a thermometer that sticks may have stood still: minutes, hours, a third of it."""
 LATE = 0.85
 """Share of the fitting segment beyond which an onset leaves too little of it to identify the effect."""
 
@@ -225,23 +226,46 @@ class SplitSearch:
 
 def _nearer(part: Part) -> tuple[Candidate, ...]:
     """Return, for laws with many forms, those of greater evidence at each place than the catalogue's own."""
-    best: dict[tuple[str, str, str], Entry] = {}
+    first: dict[tuple[str, ...], Entry] = {}
     for entry in part.scanned:
         c = entry.candidate
         if c.near is not None:
-            best.setdefault((c.kind, c.where, c.driver), entry)
-    found = []
-    for first in best.values():
-        entry = first
-        while entry.candidate.near is not None:
-            laws: Sequence[CandidateLaw] = part.basis.book.laws(part.grid, part.run, entry.candidate.near())
-            nearer = scan(part.score_test, laws)
-            if not nearer or nearer[0].log_bayes <= entry.log_bayes:
-                break
-            entry = nearer[0]
-        if entry is not first:
-            found.append(entry.candidate)
-    return tuple(found)
+            # A gain in error and a thermometer that sticks both follow its temperature.
+            first.setdefault((c.kind, c.where, c.driver, *c.changes), entry)
+    best = dict(first)
+    forms = {key: (*_near(entry), *_at_levels(entry.candidate, part)) for key, entry in first.items()}
+    while forms:
+        laws = {key: part.basis.book.laws(part.grid, part.run, those) for key, those in forms.items()}
+        of = {id(law): key for key, those in laws.items() for law in those}
+        nearer: dict[tuple[str, ...], Entry] = {}
+        for entry in scan(part.score_test, [law for those in laws.values() for law in those]):
+            nearer.setdefault(of[id(entry.law)], entry)
+        better = {key: entry for key, entry in nearer.items() if entry.log_bayes > best[key].log_bayes}
+        best |= better
+        forms = {key: _near(entry) for key, entry in better.items()}
+    return tuple(entry.candidate for key, entry in best.items() if entry is not first[key])
+
+
+def _near(entry: Entry) -> tuple[Candidate, ...]:
+    return () if entry.candidate.near is None else entry.candidate.near()
+
+
+def _at_levels(candidate: Candidate, part: Part) -> tuple[Candidate, ...]:
+    """Return a thermometer that sticks at the levels at which its reading stood still: one that sticks shows its level.
+
+    They are the means of its calmest spans of some lengths, whether it stuck there or its place was calm.
+    """
+    if candidate.at_level is None:
+        return ()
+    j = part.basis.probe.network.sensor_names.index(candidate.where)
+    means = part.score_test.block_means(part.grid.measured[:, j])
+    levels = []
+    for share in STOOD:
+        spans = np.lib.stride_tricks.sliding_window_view(means, max(round(share * len(means)), 2))
+        spread = spans.std(axis=1)
+        if np.isfinite(spread).any():
+            levels.append(float(spans[np.nanargmin(spread)].mean()))
+    return tuple(map(candidate.at_level, levels))
 
 
 def finding_of(found: Found, part: Part, record_s: float, *, fewer: bool = False) -> Finding:
