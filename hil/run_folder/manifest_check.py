@@ -67,6 +67,7 @@ class _Settings(DocumentShape):
     network_mode: NetworkMode = "shadow"
     diagnose_s: float | Literal["end"] | None = None
     adopt: bool = False
+    report: bool = True
 
 
 class _Segment(DocumentShape):

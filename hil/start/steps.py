@@ -236,7 +236,7 @@ def _trial(course: Course) -> list[Action]:
     ]
     if not course.is_built_in:
         words = ("run", course.answers["load"], "--rig", course.rig, "--virtual", "--lockstep", "--no-twin")
-        actions.append(Command((*words, "--runs", "runs/trial")))
+        actions.append(Command((*words, "--no-report", "--runs", "runs/trial")))
     return actions
 
 

@@ -41,7 +41,9 @@ def test_a_run_with_two_causes_alike_is_settled_by_an_experiment_on_the_virtual_
     for name in ("virtual.toml", "virtual.healthy.parquet"):
         shutil.copy(PROJECT / "profiles/twins" / name, tmp_path)
     options = ("--rig", slow_period_rig(tmp_path, 5.0), "--virtual", "--lockstep", "--no-viewer")
-    made = typed("run", "steady.csv", "--no-twin", "--with", "gain.toml", "--seed", 4, "--json", *options)
+    made = typed(
+        "run", "steady.csv", "--no-twin", "--with", "gain.toml", "--seed", 4, "--json", "--no-report", *options
+    )
     assert made.returncode == 0, made.stderr
     first = Path(json.loads(made.stdout)["folder"])
     asked = ("explain", first, "--twin", "virtual.toml", *options)

@@ -209,7 +209,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 def run(place: Path, load: str, *more: object) -> RunFolder:
     words = ["run", place / f"{load}.csv", "--virtual", "--lockstep", "--no-viewer"]
     words += ["--rig", place / "slow.toml", "--runs", place / "runs", "--json", *more]
-    words += [] if "--no-twin" in more else ["--calibrator", "least_squares"]
+    words += ["--no-report"] if "--no-twin" in more else ["--calibrator", "least_squares"]
     done = typed(*words)
     assert done.returncode == 0, done.stderr
     return RunFolder(Path(json.loads(done.stdout)["folder"]))

@@ -54,7 +54,8 @@ def hil(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 def killed(place: Path, after: int, *arguments: object, by: signal.Signals = signal.SIGKILL) -> Path:
     """The folder of a run that SIGKILL, or another signal, ended at or after tick `after`."""
-    command = [*HIL, "run", str(place / "load.csv"), "--no-viewer", "--runs", str(place / "runs"), *map(str, arguments)]
+    command = [*HIL, "run", str(place / "load.csv"), "--no-viewer"]
+    command += ["--runs", str(place / "runs"), *map(str, arguments)]
     process = subprocess.Popen(command, cwd=PROJECT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     deadline = time.monotonic() + 180
     try:
@@ -99,7 +100,7 @@ def bare(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run without a twin that was killed, for what does not depend on calibrators."""
     place = tmp_path_factory.mktemp("bare")
     (place / "load.csv").write_text(BEGINNING, encoding="utf-8")
-    return killed(place, 700, "--virtual", "--lockstep", "--no-twin")
+    return killed(place, 700, "--virtual", "--lockstep", "--no-twin", "--no-report")
 
 
 def rows(journal: Path) -> dict[str, list[Any]]:
@@ -263,7 +264,7 @@ def test_a_run_that_is_over_or_goes_on_is_refused(story):
 
 def test_a_run_that_a_signal_aborted_goes_on(tmp_path):
     (tmp_path / "load.csv").write_text(BEGINNING, encoding="utf-8")
-    folder = RunFolder(killed(tmp_path, 700, "--virtual", "--lockstep", "--no-twin", by=signal.SIGTERM))
+    folder = RunFolder(killed(tmp_path, 700, "--virtual", "--lockstep", "--no-twin", "--no-report", by=signal.SIGTERM))
     cut = folder.read_manifest()
     assert (cut["exit_status"], cut["safe"]) == ("aborted", True)
     done = typed("resume", folder.path, "--no-viewer", "--json")
@@ -279,7 +280,7 @@ def test_a_run_whose_trip_has_its_cause_still_is_refused_by_name_and_stays_as_it
     (tmp_path / "load.csv").write_text(LOAD, encoding="utf-8")
     effect = '[[effect]]\nkind = "sensor"\nwhere = "T_pm2_C"\ndriver = "constant"\nopen_circuit = true\nonset_s = 300\n'
     (tmp_path / "open.toml").write_text(effect, encoding="utf-8")
-    asked = ("--virtual", "--lockstep", "--no-twin", "--with", tmp_path / "open.toml", "--no-viewer")
+    asked = ("--virtual", "--lockstep", "--no-twin", "--with", tmp_path / "open.toml", "--no-viewer", "--no-report")
     tripped = typed("run", tmp_path / "load.csv", *asked, "--runs", tmp_path / "runs")
     assert tripped.returncode == 1
     assert "when its cause is gone, go on with it: " in tripped.stdout
@@ -415,7 +416,7 @@ def test_a_rig_that_goes_on_by_itself_is_safe_when_its_watchdog_runs_out_and_is_
         assert server.stdout is not None
         assert b"Virtual rig" in server.stdout.readline()
         control = f"127.0.0.1:{ports[2]}"
-        folder = killed(tmp_path, 700, "--rig", tmp_path / "rig.toml", "--control", control, "--no-twin")
+        folder = killed(tmp_path, 700, "--rig", tmp_path / "rig.toml", "--control", control, "--no-twin", "--no-report")
         assert _heater(ports[0]) > 600.0
         deadline = time.monotonic() + 20
         while _heater(ports[0]) > 0.0:  # nobody beats the heart

@@ -177,6 +177,7 @@ def test_runs_on_one_rig_from_two_terminals(tmp_path, home):
 
     modbus, can = free_ports(2)
     options = [str(tmp_path / "load.csv"), "--rig", str(rig_file(tmp_path, modbus, can)), "--no-twin", "--no-viewer"]
+    options += ["--no-report"]
     (tmp_path / "load.csv").write_text(LOAD.format(end=4000), encoding="utf-8")
     served = [sys.executable, "-m", "hil", "rig", "--modbus-port", str(modbus), "--can-port", str(can)]
     with subprocess.Popen(served, cwd=PROJECT, stdout=subprocess.PIPE) as server, contextlib.ExitStack() as stack:

@@ -207,7 +207,11 @@ def test_a_signal_ends_the_run_with_the_heater_safe(tmp_path, number, twin):
     (tmp_path / "load.csv").write_text(LOAD.format(end=40000), encoding="utf-8")
     command = [*HIL, "run", str(tmp_path / "load.csv"), "--virtual", "--speed", "10", "--runs", str(tmp_path)]
     process = subprocess.Popen(
-        [*command, *twin, "--no-viewer"], cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, process_group=0
+        [*command, *twin, "--no-viewer", "--no-report"],
+        cwd=PROJECT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        process_group=0,
     )
     journal = None
     deadline = time.monotonic() + 180
@@ -258,10 +262,14 @@ def test_a_rig_that_runs_already_is_taken_over_in_lockstep(tmp_path):
                 tmp_path / "runs",
                 "--no-twin",
                 "--no-viewer",
+                "--no-report",
                 "--json",
             )
             assert done.returncode == 0, done.stderr
             assert json.loads(done.stdout)["ticks"] == 300
+            folder = RunFolder(Path(json.loads(done.stdout)["folder"]))
+            assert folder.record.is_file() and not folder.review.exists() and not folder.report.exists()
+            assert folder.read_manifest()["missing"] == {}
     finally:
         server.terminate()
         server.communicate(timeout=20)

@@ -206,6 +206,7 @@ async def test_a_run_over_tls_leaves_no_key_in_its_folder(tmp_path):
             str(tmp_path / "rig.toml"),
             "--no-twin",
             "--no-viewer",
+            "--no-report",
             "--runs",
             str(tmp_path / "runs"),
             cwd=PROJECT,

@@ -162,7 +162,7 @@ def test_the_script_gives_the_same_files(course, tmp_path):
         values.append((twin["elements"], np.asarray(record["T_tank_C"])))
     assert values[0][0] == values[1][0] and np.array_equal(values[0][1], values[1][1])
     trial, run, diagnosis = (again / "asked").read_text(encoding="utf-8").splitlines()
-    assert trial.endswith("--virtual --lockstep --no-twin --runs runs/trial")
+    assert trial.endswith("--virtual --lockstep --no-twin --no-report --runs runs/trial")
     assert f"$ hil {trial}\n" in (folder / "log.txt").read_text(encoding="utf-8")
     assert run.endswith("--runs runs/load") and f"$ hil {run}\n" in course_done.stdout
     assert diagnosis == "diagnose runs/load/made" and '$ hil diagnose "runs/load/' in course_done.stdout

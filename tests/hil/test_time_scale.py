@@ -65,7 +65,7 @@ async def test_record_of_a_fast_rig_agrees_with_its_own_uptime(tmp_path):
         rig = rig_file(tmp_path, SPEED, virtual.modbus_port, virtual.can_port)
         began = time.monotonic()
         code, out, err = await hil(
-            "run", load, "--rig", rig, "--no-twin", "--runs", tmp_path / "runs", "--no-viewer", "--json"
+            "run", load, "--rig", rig, "--no-twin", "--runs", tmp_path / "runs", "--no-viewer", "--no-report", "--json"
         )
         took_s = time.monotonic() - began
     finally:

@@ -71,6 +71,7 @@ def test_the_twin_of_a_run_follows_the_set_points(tmp_path):
         "--virtual",
         "--lockstep",
         "--no-viewer",
+        "--no-report",
         "--calibrator",
         "least_squares",
         "--runs",

@@ -56,6 +56,7 @@ if TYPE_CHECKING:
 )
 @click.option("--healthy", type=RECORD_FILE, help="Healthy record of the rig, for --diagnose.")
 @click.option("--adopt", is_flag=True, help="Save a confident finding of --diagnose as the twin's next revision.")
+@click.option("--no-report", is_flag=True, help="Leave out review and report; `hil report` makes them afterwards.")
 @label_options
 @click.option("--check-only", is_flag=True, help="Validate everything, move nothing.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
@@ -81,6 +82,7 @@ def command(
     diagnose: str | None,
     healthy: Path | None,
     adopt: bool,
+    no_report: bool,
     test_object: str,
     serial_number: str,
     operator: str,
@@ -125,6 +127,7 @@ def command(
         control=None if control is None else address(control),
         rearm=rearm,
         no_lock=no_lock,
+        report=not no_report,
         diagnose_s=None if diagnose is None else interval_of(diagnose),
         healthy=healthy,
         adopt=adopt,

@@ -141,7 +141,7 @@ def derive_files(
     announce
         Gets a line for each file, and for those that could not be made.
     there
-        Names of files that are not made again.
+        Names of files that are not made, as they are there or nobody asked for them.
     signals
         Signals of the run; a deliberate one ends the making of files, and nothing else.
 

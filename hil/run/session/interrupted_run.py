@@ -180,6 +180,7 @@ def request_of(
         diagnose_s=math.inf if settings.get("diagnose_s") == END_ONLY else settings.get("diagnose_s"),
         healthy=files.get("healthy"),
         adopt=settings.get("adopt", False),
+        report=settings.get("report", True),
         guardian=guardian,
         test=files.get("test"),
     )

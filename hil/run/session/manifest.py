@@ -50,6 +50,7 @@ def settings_of(request: RunRequest, tracking: Tracking | None) -> dict[str, Any
         # JSON has no infinity.
         "diagnose_s": END_ONLY if request.diagnose_s == math.inf else request.diagnose_s,
         "adopt": request.adopt,
+        "report": request.report,
     }
 
 

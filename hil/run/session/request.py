@@ -76,6 +76,8 @@ class RunRequest:
         False runs without the process that makes the rig safe when this one is killed or hangs.
     no_lock
         Run although the locks of the rig cannot be taken.
+    report
+        False leaves out review and report; `hil report` makes them from the journal.
     start_s
         Rig time at which a virtual rig starts, s: the age of its effects.
     test
@@ -105,6 +107,7 @@ class RunRequest:
     adopt: bool = False
     guardian: bool = True
     no_lock: bool = False
+    report: bool = True
     start_s: float = 0.0
     test: Path | None = None
     labels: Labels = field(default_factory=Labels)

@@ -16,7 +16,7 @@ from hil.journal import ENDED, Header, JournalError, JournalWriter, State
 from hil.run.engine import Engine, Options, Outcome, RunSignals, Status, interrupted, serving, stopping
 from hil.run.locks import RigClaim
 from hil.run.restore import Resumption, clocks_recorded, restore_calibrators
-from hil.run.session.derived_files import REVIEW, DerivedFiles, derive_files
+from hil.run.session.derived_files import REPORT, REVIEW, DerivedFiles, derive_files
 from hil.run.session.manifest import RUN_UID, end_entries
 from hil.run.session.request import RunInputs, RunRequest
 from hil.run.session.rig_time import rig_and_clock
@@ -186,8 +186,10 @@ async def _run_in(run: PreparedRun) -> RunResult:
         except JournalError as error:  # a lost journal must not prevent the other files
             manifest["problems"] = [*manifest["problems"], str(error)]
     manifest.pop("adoption", None)  # from an earlier segment
-    there = (REVIEW,) if follower and folder.review.is_file() else ()
-    derived = derive_files(folder, manifest, announce, there=there, signals=run.signals)
+    unwanted = set() if request.report else {REVIEW, REPORT}
+    if follower and folder.review.is_file():
+        unwanted.add(REVIEW)
+    derived = derive_files(folder, manifest, announce, there=unwanted, signals=run.signals)
     duration_s = outcome.ticks * clock.period_s
     return RunResult(
         derived.folder,

@@ -64,7 +64,7 @@ def columns(folder: Path) -> dict[str, np.ndarray]:
 def test_virtual_serves_a_rig_file_with_its_twin_as_the_plant(tmp_path: Path) -> None:
     loop_file(tmp_path)
     (tmp_path / "load.csv").write_text(LOAD)
-    options = ("--virtual", "--lockstep", "--no-viewer", "--calibrator", "least_squares")
+    options = ("--virtual", "--lockstep", "--no-viewer", "--no-report", "--calibrator", "least_squares")
     done = hil("run", "load.csv", "--rig", "loop.toml", *options, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "inverse crime" in done.stderr
@@ -85,7 +85,7 @@ def test_a_run_in_lockstep_is_the_same_every_time(tmp_path: Path) -> None:
         folder.mkdir()
         loop_file(folder)
         (folder / "load.csv").write_text(LOAD)
-        options = ("--virtual", "--lockstep", "--no-twin", "--no-viewer", "--seed", "4")
+        options = ("--virtual", "--lockstep", "--no-twin", "--no-viewer", "--no-report", "--seed", "4")
         assert hil("run", "load.csv", "--rig", "loop.toml", *options, cwd=folder).returncode == 0
         records.append(columns(folder))
     assert np.array_equal(records[0]["T_tank_C"], records[1]["T_tank_C"])
@@ -97,9 +97,11 @@ def test_hil_runs_on_a_rig_that_is_served_elsewhere_and_leaves_it_safe(tmp_path:
     (tmp_path / "load.csv").write_text("time_s,heater_power_W,valve_set_pct\n0,100,40\n4,500,60\n8,500,60\n")
     with served(tmp_path, "bench.toml", "--out", "served.toml") as lines:
         assert any("No twin" in line for line in lines)
-        done = hil("run", "load.csv", "--rig", "served.toml", "--no-viewer", cwd=tmp_path)
+        done = hil("run", "load.csv", "--rig", "served.toml", "--no-viewer", "--no-report", cwd=tmp_path)
         assert done.returncode == 0, done.stderr
-        again = hil("run", "load.csv", "--rig", "served.toml", "--no-viewer", "--check-only", cwd=tmp_path)
+        again = hil(
+            "run", "load.csv", "--rig", "served.toml", "--no-viewer", "--no-report", "--check-only", cwd=tmp_path
+        )
         assert again.returncode == 0
         online = hil("check", "served.toml", "--online", cwd=tmp_path)
         assert "all 14 points are good" in online.stdout
@@ -115,7 +117,7 @@ def test_lockstep_is_granted_from_another_process(tmp_path: Path) -> None:
     (tmp_path / "load.csv").write_text(LOAD)
     with served(tmp_path, "loop.toml", "--out", "served.toml", "--mode", "lockstep") as lines:
         control = next(line.split("--control ")[1] for line in lines if "--control" in line)
-        options = ("--control", control, "--no-twin", "--no-viewer")
+        options = ("--control", control, "--no-twin", "--no-viewer", "--no-report")
         done = hil("run", "load.csv", "--rig", "served.toml", *options, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
     assert len(columns(tmp_path)["T_tank_C"]) >= 1200
@@ -125,7 +127,7 @@ def test_an_interlock_trips_a_served_run(tmp_path: Path) -> None:
     file = loop_file(tmp_path)
     file.write_text(file.read_text().replace("alarm = [0, 75]", "alarm = [0, 30]"))
     (tmp_path / "load.csv").write_text("time_s,heater_power_W,pump_speed_pct\n0,2000,100\n3000,2000,100\n")
-    options = ("--virtual", "--lockstep", "--no-twin", "--no-viewer")
+    options = ("--virtual", "--lockstep", "--no-twin", "--no-viewer", "--no-report")
     done = hil("run", "load.csv", "--rig", "loop.toml", *options, cwd=tmp_path)
     assert done.returncode == 1
     (run,) = (tmp_path / "runs").iterdir()
