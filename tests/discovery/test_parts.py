@@ -168,10 +168,10 @@ def test_a_law_says_what_the_element_itself_does(bench: Bench, healthy: Columns)
         allowed = 0.4 if (c.kind, c.driver, c.change) in screened else 0.15
         assert off < allowed or scale < 0.02, f"{c.id}: {off:.2f} of {scale:.3g}"
     assert len(checked) > 15
-    # One without a law could never be found, but for levels at which a thermometer has not been.
+    # One without a law could never be found; a thermometer that sticks gets the level that a record shows.
     laws = {law.candidate.id for law in known.book.laws(grid, run)}
     without = {c.id for c in known.book.candidates} - laws
-    assert all("_sticks" in name for name in without) and any("_sticks" in name for name in laws)
+    assert all("_sticks" in name for name in without)
 
 
 def test_a_book_gives_the_same_laws_as_formulas_made_anew(bench: Bench, healthy: Columns) -> None:

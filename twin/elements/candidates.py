@@ -45,7 +45,7 @@ class Candidate:
     near
         Function that makes similar forms, which are tested where this one scores.
     at_level
-        Of a thermometer that sticks: function that makes the same at a level, degC, which a record shows.
+        Of a thermometer that sticks: function that makes the same at another level, degC.
     begins
         Input column whose temperature an added mass has at its onset, or "" for that of its place.
     slow_s, slower

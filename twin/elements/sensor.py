@@ -18,10 +18,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-import numpy as np
-
 from twin.elements.base import Element, Names, ParameterSpec, place
-from twin.elements.candidates import PASSING, STAYING, Candidate, EffectSize, Sites
+from twin.elements.candidates import Candidate, EffectSize, Sites
 from twin.elements.fragments import Fragment, SensorLag
 
 LUMPED_S, PIPED_S = 25.0, 6.0
@@ -36,11 +34,9 @@ ADJUSTED_APART_K = (10.0, 5.0, 2.5, 1.25, 0.6, 0.3)
 """Distances, K, at which other temperatures of adjustment are tried around the best so far. An error of 10 % about one
 that is wrong by half of the least leaves 0.015 K, less than the noise of most thermometers."""
 STUCK_APART_K = 5.0
-"""Distance of the levels at which a thermometer is first taken to stick, K; ever closer ones follow."""
+"""Error of the level at which a record shows a thermometer to stick, K, in whose halves others are tried."""
 STUCK_WITHIN_K = 0.05
 """Closest distance of two such levels, K: half the resolution of an industrial thermometer."""
-LEAST_STUCK_C, MOST_STUCK_C = -30.0, 150.0
-"""Lowest and highest of these levels, degC: those of coolants under pressure."""
 LAGS_S = (15.0, 60.0, 240.0)
 """Lags around which an unknown one is sought, s: a late reading is not proportional to its lag."""
 
@@ -118,8 +114,7 @@ class Sensor(Element):
         if f"{self.name}_sticks.size" in sites.values:
             found.append(self._stuck_otherwise(where, sites.values))
         else:
-            levels = np.arange(LEAST_STUCK_C, MOST_STUCK_C + 1.0, STUCK_APART_K)
-            found += [self._stuck(where, float(level), STUCK_APART_K) for level in levels]
+            found.append(self._stuck(where, ADJUSTED_C, STUCK_APART_K))
         if self.other:
             now_c = sites.values[f"{self.name}.cross_talk"]
             says = f"picks up another share of the temperature of {self.other}: a change by {{value}}"
@@ -165,9 +160,9 @@ class Sensor(Element):
         )
 
     def _stuck(self, where: str, level_c: float, apart_c: float) -> Candidate:
-        """Return a thermometer that sticks at a level, degC; `apart_c`, K, is how far apart those tried so far were.
+        """Return a thermometer that sticks at a level, degC; others are tried closer to it than `apart_c`, K.
 
-        Only a level that the search came to is tried with other courses than a step.
+        A record shows the level; the one of the catalogue stands for all.
         """
         finer = [apart for k in range(1, 8) if (apart := apart_c * 0.5**k) >= STUCK_WITHIN_K]
 
@@ -195,9 +190,8 @@ class Sensor(Element):
                 },
                 f"{self.name}_sticks": {"kind": "law_reading", "sensor": self.name, "form": "constant"},
             },
-            shapes=("step",) if apart_c == STUCK_APART_K else (*STAYING, *PASSING),
             near=near if finer else None,
-            at_level=lambda level_c: self._stuck(where, level_c, 0.5 * STUCK_APART_K),
+            at_level=lambda level_c: self._stuck(where, level_c, STUCK_APART_K),
         )
 
     def _stuck_otherwise(self, where: str, values: Mapping[str, float]) -> Candidate:

@@ -35,6 +35,8 @@ SIDE_BY_SIDE = 4
 """Fits that run in parallel, given as many cores: kernels release the interpreter's lock."""
 NEGLIGIBLE = 1e-12
 """Squares of an effect, relative to noise, below which it has no influence."""
+STOOD = (0.03, 0.1, 0.3)
+"""Shares of a record for which a thermometer that sticks may have stood still: minutes, hours, a third of it."""
 MUCH, APART, SIZES = 4.0, 4.0, 3
 """Sizes at which the fit of a lag or delay may begin, in typical ones: the least, their ratio, and how many. For the
 lag of an actuator they are 4 min, 16 min and an hour, its upper bound."""
@@ -57,7 +59,9 @@ class Part:
     def of(cls, known: Basis, grid: Grid) -> Part:
         state, run, _, _ = free_run(known.probe, grid)
         book = known.book
-        every = [law for only in (None, book.put_in, book.passing) for law in book.laws(grid, run, only)]
+        stuck = tuple(at for c in book.candidates if (at := _stuck_at(c, known, grid, run)) is not None)
+        every = [law for law in book.laws(grid, run) if law.candidate.at_level is None]
+        every += [law for only in (book.put_in, book.passing, stuck) for law in book.laws(grid, run, only)]
         assumed = known.assumed(grid)
         found = [law for law in every if law.candidate.where not in assumed]
         told = [*found, *_missing(known, grid, run, found)]
@@ -155,6 +159,34 @@ class Part:
 
     def reset(self) -> None:
         self.score_test.look_at(self.run)
+
+
+def _stuck_at(candidate: Candidate, known: Basis, grid: Grid, run: FreeRun) -> Candidate | None:
+    """Return a thermometer that sticks, at the level at which it stood still while the twin moved; None if it did not.
+
+    The level is the mean of the span, of the lengths `STOOD`, in which a constant leaves the fewest squares less than
+    the twin.
+    """
+    if candidate.at_level is None:
+        return None
+    name = next(str(table["sensor"]) for table in candidate.adds.values())
+    j = known.probe.network.sensor_names.index(name)
+    good = np.isfinite(grid.measured[:, j])
+    if not good.any():
+        return None
+    middle = float(grid.measured[good, j].mean())
+    read = np.where(good, grid.measured[:, j] - middle, 0.0)
+    off = np.where(good, grid.measured[:, j] - run.readings[:, j], 0.0)
+    sums = np.cumsum(np.stack([good, read, read**2, off**2], axis=1), axis=0)
+    best, level_c = 0.0, None
+    for share in STOOD:
+        n = max(round(share * len(read)), 2)
+        count, total, squares, of_twin = (sums[n:] - sums[:-n]).T
+        gained = of_twin - squares + total**2 / np.maximum(count, 1.0)
+        k = int(np.argmax(gained))
+        if gained[k] > best:
+            best, level_c = float(gained[k]), middle + float(total[k] / count[k])
+    return None if level_c is None else candidate.at_level(level_c)
 
 
 def _missing(known: Basis, grid: Grid, run: FreeRun, laws: Sequence[CandidateLaw]) -> list[CandidateLaw]:

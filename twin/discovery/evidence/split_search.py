@@ -39,8 +39,6 @@ STILL_HELD = 0.4
 WELL_SEEN, KEPT = LAST_SHARE - 0.01, 6
 """Share of a part within which a search finds an onset whatever its block edges, and bins that stay held out even then.
 """
-STOOD = (0.03, 0.1, 0.3)
-"""Shares of a record for which a thermometer that sticks may have stood still: minutes, hours, a third of it."""
 LATE = 0.85
 """Share of the fitting segment beyond which an onset leaves too little of it to identify the effect."""
 
@@ -233,7 +231,7 @@ def _nearer(part: Part) -> tuple[Candidate, ...]:
             # A gain in error and a thermometer that sticks both follow its temperature.
             first.setdefault((c.kind, c.where, c.driver, *c.changes), entry)
     best = dict(first)
-    forms = {key: (*_near(entry), *_at_levels(entry.candidate, part)) for key, entry in first.items()}
+    forms = {key: _near(entry) for key, entry in first.items()}
     while forms:
         laws = {key: part.basis.book.laws(part.grid, part.run, those) for key, those in forms.items()}
         of = {id(law): key for key, those in laws.items() for law in those}
@@ -248,24 +246,6 @@ def _nearer(part: Part) -> tuple[Candidate, ...]:
 
 def _near(entry: Entry) -> tuple[Candidate, ...]:
     return () if entry.candidate.near is None else entry.candidate.near()
-
-
-def _at_levels(candidate: Candidate, part: Part) -> tuple[Candidate, ...]:
-    """Return a thermometer that sticks at the levels at which its reading stood still: one that sticks shows its level.
-
-    They are the means of its calmest spans of some lengths, whether it stuck there or its place was calm.
-    """
-    if candidate.at_level is None:
-        return ()
-    j = part.basis.probe.network.sensor_names.index(candidate.where)
-    means = part.score_test.block_means(part.grid.measured[:, j])
-    levels = []
-    for share in STOOD:
-        spans = np.lib.stride_tricks.sliding_window_view(means, max(round(share * len(means)), 2))
-        spread = spans.std(axis=1)
-        if np.isfinite(spread).any():
-            levels.append(float(spans[np.nanargmin(spread)].mean()))
-    return tuple(map(candidate.at_level, levels))
 
 
 def finding_of(found: Found, part: Part, record_s: float, *, fewer: bool = False) -> Finding:
