@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.discovery.conftest import STEP_S, Bench
+from tests.discovery.conftest import HOUR, STEP_S, Bench
 from twin.discovery.effects.catalogue import catalogue
 from twin.discovery.effects.formulas import Formulas
 from twin.discovery.effects.phrases import said
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns
 from twin.elements.candidates import Candidate
+from twin.kernel import Kernel
 from twin.network import Network
 from twin.revisions import with_elements
 from twin.twinfile import load
@@ -76,6 +77,22 @@ def test_heater_that_answers_late_is_told_with_its_form(
     assert (effect.kind, effect.where, effect.driver) == ("actuator", "heater_power", "history")
     assert ("only after" in effect.says) == (parameter == "dead_time_s")
     assert effect.value == pytest.approx(seconds, rel=0.1)
+
+
+def test_a_dead_time_of_more_than_a_load_step_is_told(brisk: Bench, brisk_healthy: Columns) -> None:
+    """What is late by two steps of the load resembles neither what is late by one nor what is late by four."""
+    time, inputs = brisk.inputs(24.0, 3)
+    given, dead_s, onset_s = inputs.copy(), 700.0, 7.0 * HOUR
+    later = time >= onset_s
+    given[later, 0] = np.roll(inputs[:, 0], round(dead_s / STEP_S))[later]
+    start = np.array([37.0, 36.8, 34.5, 34.0])
+    read, _ = Kernel(brisk.network, ()).trace(brisk.network.values, start, time, given)
+    noise = brisk.network.sigma * np.random.default_rng(5).normal(0.0, 1.0, read[0].shape)
+    found = diagnose(brisk.network, Columns(time, inputs, read[0] + noise), brisk_healthy)
+    (effect,) = found.effects
+    assert (effect.kind, effect.where, effect.driver) == ("actuator", "heater_power", "history")
+    assert "only after" in effect.says and effect.value == pytest.approx(dead_s, abs=5.0)
+    assert effect.onset_s == pytest.approx(onset_s, abs=60.0)
 
 
 def test_dead_time_longer_than_the_record_leaves_what_was_there_at_first(bench: Bench) -> None:

@@ -42,6 +42,11 @@ MUCH, APART, SIZES = 4.0, 4.0, 3
 lag of an actuator they are 4 min, 16 min and an hour, its upper bound."""
 
 
+DEAD_APART_S = 150.0
+"""Least distance of the dead times at which a fit may begin, s; at most it is a block. What is late by one load step
+does not resemble what is late by half of it, whatever their ratio."""
+
+
 @dataclass
 class Part:
     """Part of a record prepared for the search."""
@@ -106,8 +111,8 @@ class Part:
         """Return the lags and delays, each with the onset and the size of highest evidence.
 
         A lag is not linear in its size. Its response at each of several sizes, a factor of `APART` apart, is scanned as
-        a law of its own, with that size as its typical one. A mass has one such size, and several time constants, of
-        which every second one is included.
+        a law of its own, with that size as its typical one. A dead time has more of them. A mass has one such size, and
+        several time constants, of which every second one is included.
         """
         made: list[tuple[CandidateLaw, CandidateLaw]] = []
         slow: Counter[str] = Counter()
@@ -123,6 +128,9 @@ class Part:
                     continue
             sizes = 1 if c.kind == "thermal_mass" else SIZES
             tried = {min(MUCH * c.typical * APART**k, c.upper) for k in range(sizes)}
+            if any(name.endswith(".dead_time_s") for name in c.changes):
+                apart_s = max(self.score_test.step_s, DEAD_APART_S)
+                tried |= set(np.arange(apart_s, c.upper, apart_s).tolist())
             forms = tuple(replace(c, typical=size, shapes=("step",)) for size in sorted(tried))
             made += [(law, form) for form in book.laws(self.grid, self.run, forms)]
         law_of = {id(form): law for law, form in made}
