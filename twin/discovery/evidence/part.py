@@ -185,10 +185,11 @@ def _stuck_at(candidate: Candidate, known: Basis, grid: Grid, run: FreeRun) -> C
     middle = float(grid.measured[good, j].mean())
     read = np.where(good, grid.measured[:, j] - middle, 0.0)
     off = np.where(good, grid.measured[:, j] - run.readings[:, j], 0.0)
-    sums = np.cumsum(np.stack([good, read, read**2, off**2], axis=1), axis=0)
+    sums = np.zeros((len(read) + 1, 4))
+    np.cumsum(np.stack([good, read, read**2, off**2], axis=1), axis=0, out=sums[1:])
     best, level_c = 0.0, None
     for share in STOOD:
-        n = max(round(share * len(read)), 2)
+        n = min(max(round(share * len(read)), 2), len(read))
         count, total, squares, of_twin = (sums[n:] - sums[:-n]).T
         gained = of_twin - squares + total**2 / np.maximum(count, 1.0)
         k = int(np.argmax(gained))
