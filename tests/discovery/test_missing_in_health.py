@@ -151,16 +151,20 @@ def test_an_effect_all_along_of_the_size_that_it_had_in_health_is_taken_as_known
     assert with_usual(known, [replace(same, shape=replace(same.shape, onset_s=7200.0))]) is known
 
 
-@pytest.mark.parametrize(("lower", "kept"), [(-9.0, (0, 1)), (0.0, (1,))])
+@pytest.mark.parametrize(
+    ("unit", "lower", "kept"), [("W", -9.0, (0, 1)), ("W", 0.0, (1,)), ("1", -9.0, ())], ids=["W", "bound", "share"]
+)
 def test_a_law_of_a_size_that_cannot_be_is_left_out(
-    bench: Bench, late: Bench, lower: float, kept: tuple[int, ...]
+    bench: Bench, late: Bench, unit: str, lower: float, kept: tuple[int, ...]
 ) -> None:
+    """Of watts any number within the bounds may be; a share of five times all would have been seen in commissioning."""
     _, part = known_of(bench, late.record(10.0, seed=7), late.record(16.0, seed=4))
-    law = replace(part.laws[0].candidate, lower=lower, upper=9.0)
+    law = replace(part.laws[0].candidate, unit=unit, typical=0.05, lower=lower, upper=9.0)
     gram = 100.0 * np.eye(2)
     columns = _Columns(gram, gram @ np.array([-5.0, 5.0]), np.eye(2), np.zeros(2), np.full(2, -3.0))
     found, odds = _possible(columns, (), (law, law))
-    assert found == kept and odds == pytest.approx(float(columns.odds(np.array([kept], dtype=np.intp))[0]))
+    expected = float(columns.odds(np.array([kept], dtype=np.intp))[0]) if kept else 0.0
+    assert found == kept and odds == pytest.approx(expected)
 
 
 def test_an_open_law_of_the_size_that_it_has_in_health_joins_what_is_known(bench: Bench) -> None:

@@ -267,8 +267,10 @@ def test_a_run_that_a_signal_aborted_goes_on(tmp_path):
     folder = RunFolder(killed(tmp_path, 700, "--virtual", "--lockstep", "--no-twin", "--no-report", by=signal.SIGTERM))
     cut = folder.read_manifest()
     assert (cut["exit_status"], cut["safe"]) == ("aborted", True)
+    assert typed("report", folder.path).returncode == 0  # whose pages end where the run was cut
     done = typed("resume", folder.path, "--no-viewer", "--json")
     assert done.returncode == 0, done.stderr
+    assert folder.is_current(folder.review) and "<h2>Segments</h2>" in folder.report.read_text(encoding="utf-8")
     manifest = folder.read_manifest()
     assert manifest["exit_status"] == "done"
     assert manifest["segments"][0]["why"].startswith("the run aborted (stopped by ")

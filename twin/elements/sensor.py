@@ -33,10 +33,6 @@ LEAST_ADJUSTED_C, MOST_ADJUSTED_C = 0.0, 100.0
 ADJUSTED_APART_K = (10.0, 5.0, 2.5, 1.25, 0.6, 0.3)
 """Distances, K, at which other temperatures of adjustment are tried around the best so far. An error of 10 % about one
 that is wrong by half of the least leaves 0.015 K, less than the noise of most thermometers."""
-STUCK_APART_K = 5.0
-"""Error of the level at which a record shows a thermometer to stick, K, in whose halves others are tried."""
-STUCK_WITHIN_K = 0.05
-"""Closest distance of two such levels, K: half the resolution of an industrial thermometer."""
 LAGS_S = (15.0, 60.0, 240.0)
 """Lags around which an unknown one is sought, s: a late reading is not proportional to its lag."""
 
@@ -114,7 +110,7 @@ class Sensor(Element):
         if f"{self.name}_sticks.size" in sites.values:
             found.append(self._stuck_otherwise(where, sites.values))
         else:
-            found.append(self._stuck(where, ADJUSTED_C, STUCK_APART_K))
+            found.append(self._stuck(where, ADJUSTED_C))
         if self.other:
             now_c = sites.values[f"{self.name}.cross_talk"]
             says = f"picks up another share of the temperature of {self.other}: a change by {{value}}"
@@ -159,16 +155,8 @@ class Sensor(Element):
             near=near,
         )
 
-    def _stuck(self, where: str, level_c: float, apart_c: float) -> Candidate:
-        """Return a thermometer that sticks at a level, degC; others are tried closer to it than `apart_c`, K.
-
-        A record shows the level; the one of the catalogue stands for all.
-        """
-        finer = [apart for k in range(1, 8) if (apart := apart_c * 0.5**k) >= STUCK_WITHIN_K]
-
-        def near() -> tuple[Candidate, ...]:
-            return tuple(self._stuck(where, level_c + side * apart, apart) for apart in finer for side in (-1.0, 1.0))
-
+    def _stuck(self, where: str, level_c: float) -> Candidate:
+        """Return a thermometer that sticks at a level, degC, which a record shows; the catalogue has any one."""
         return Candidate(
             "sensor",
             where,
@@ -190,8 +178,7 @@ class Sensor(Element):
                 },
                 f"{self.name}_sticks": {"kind": "law_reading", "sensor": self.name, "form": "constant"},
             },
-            near=near if finer else None,
-            at_level=lambda level_c: self._stuck(where, level_c, STUCK_APART_K),
+            at_level=lambda shown_c: self._stuck(where, shown_c),
         )
 
     def _stuck_otherwise(self, where: str, values: Mapping[str, float]) -> Candidate:
@@ -200,13 +187,12 @@ class Sensor(Element):
         level_c = values[f"{self.name}_sticks.size"] / share if share else 0.0
         says = f"sticks at {level_c:.1f} degC: it misses {{share}} more of every change than before"
         return replace(
-            self._stuck(where, level_c, STUCK_APART_K),
+            self._stuck(where, level_c),
             change="existing",
             says=says,
             lower=-share,
             upper=1.0 - share,
             adds={},
-            near=None,
             at_level=None,
         )
 

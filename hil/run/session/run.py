@@ -186,7 +186,9 @@ async def _run_in(run: PreparedRun) -> RunResult:
         except JournalError as error:  # a lost journal must not prevent the other files
             manifest["problems"] = [*manifest["problems"], str(error)]
     manifest.pop("adoption", None)  # from an earlier segment
-    unwanted = set() if request.report else {REVIEW, REPORT}
+    # Those of an earlier segment would lack this one.
+    pages = () if request.report else ((REVIEW, folder.review), (REPORT, folder.report))
+    unwanted = {name for name, path in pages if not path.is_file()}
     if follower and folder.review.is_file():
         unwanted.add(REVIEW)
     derived = derive_files(folder, manifest, announce, there=unwanted, signals=run.signals)

@@ -18,11 +18,13 @@ from twin.discovery.records.grid import Grid, filled
 from twin.elements.candidates import Candidate
 from twin.elements.flow import Flow
 from twin.elements.law import LawReading
-from twin.elements.sensor import STUCK_APART_K
 from twin.network import Array, Network
 
 LEAST_W = 1e-9
 SMOOTH_S = 3600.0
+BESIDE_K = 2.5
+"""Distance of the level at which a thermometer sticks from temperatures that its place has had, K: effects that the
+twin lacks move them. A judgement."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,8 +220,8 @@ def _read_by_law(network: Network, candidate: Candidate, element: str) -> tuple[
 
 def _has_been_there(off: Array) -> bool:
     """Return True if thermometers have been at the level at which they stick, or next to it, from `off` (n, m), K."""
-    own, half = off[:, off.any(axis=0)], 0.5 * STUCK_APART_K
-    return own.size > 0 and float(own.min()) < half and float(own.max()) > -half
+    own = off[:, off.any(axis=0)]
+    return own.size > 0 and float(own.min()) < BESIDE_K and float(own.max()) > -BESIDE_K
 
 
 def _delay(network: Network, formulas: Formulas, candidate: Candidate, grid: Grid, known: Array, base: Array) -> Array:

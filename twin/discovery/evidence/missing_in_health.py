@@ -35,6 +35,8 @@ from twin.discovery.scoring.structure import Structure
 from twin.elements.candidates import Candidate
 from twin.network import Array
 
+MOST_LACKED = 3.0
+"""Prior standard deviations that a share may have which a commissioned twin lacked: 99.7 % of the prior."""
 MOST_LAWS, BEAM = 5, 6
 """Members of a set at most, beside given ones, and sets of each count in the beam. Judgements that bound the time: sets
 of five are common on the zoo's development families, and more were not tried."""
@@ -104,7 +106,9 @@ def with_missing(part: Part) -> Basis:
     if known.health is None or known.structure is None or not part.scanned:
         return known
     prior, effects = Prior(part.laws), _leading_effects(part)
-    amounts = known.health.amplitudes([law.candidate for law in part.laws], known.probe.scaling.ids)
+    amounts = known.health.amplitudes(
+        [law.candidate for law in part.laws if not law.candidate.sticks], known.probe.scaling.ids
+    )
     if not amounts.candidates:
         return known
     columns, count = _columns_of(part, part.score_test, effects, amounts, prior), len(effects)
@@ -133,7 +137,7 @@ def with_missing_beside(part: Part, fit: Fit, further: Sequence[Entry]) -> Basis
     known = part.basis
     if known.health is None or known.structure is None:
         return known
-    candidates = [law.candidate for law in part.laws]
+    candidates = [law.candidate for law in part.laws if not law.candidate.sticks]
     amounts = _amounts_of(known, known.health, candidates)
     if known.earlier is None:
         amounts = amounts.with_unknown([c for c in candidates if not c.is_open])
@@ -180,7 +184,7 @@ def _possible(
         found, odds = columns.likeliest((), others)
         sizes = columns.sizes(found)
         of_laws = {i: float(size) for i, size in zip(found, sizes, strict=True) if i >= first}
-        outside = {i for i, size in of_laws.items() if not laws[i - first].lower <= size <= laws[i - first].upper}
+        outside = {i for i, size in of_laws.items() if not _may_lack(laws[i - first], size)}
         if not outside and amounts is not None and of_laws:
             every = np.zeros(len(laws))
             every[[i - first for i in of_laws]] = [*of_laws.values()]
@@ -196,13 +200,24 @@ def _possible(
         others = [i for i in others if i not in outside]
 
 
+def _may_lack(law: Candidate, size: float) -> bool:
+    """Return True if a commissioned twin may have lacked a law of a size: one within its bounds and, of a share, its
+    prior.
+
+    A pump that delivers a tenth of its command is seen in commissioning. Sizes with units differ by the orders of rigs,
+    and have no such limit.
+    """
+    return law.lower <= size <= law.upper and (law.unit != "1" or abs(size) <= MOST_LACKED * SPREAD * law.typical)
+
+
 def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:
     """Return the prior knowledge of a rig, with effects of an answer that were already present in health.
 
     An effect present from the beginning is likelier a law that was always missing if the healthy record's amplitude,
     within a form error, is nearer to the fitted one than the prior of a fault is.
     """
-    along = [e for e in entries if e.shape.name == "step" and e.shape.onset_s <= 0.0]
+    begun = [e for e in entries if e.shape.name == "step" and e.shape.onset_s <= 0.0]
+    along = [e for e in begun if not e.candidate.sticks]
     if known.health is None or known.structure is None or not along:
         return known
     missing = known.missing

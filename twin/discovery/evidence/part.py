@@ -172,8 +172,8 @@ class Part:
 def _stuck_at(candidate: Candidate, known: Basis, grid: Grid, run: FreeRun) -> Candidate | None:
     """Return a thermometer that sticks, at the level at which it stood still while the twin moved; None if it did not.
 
-    The level is the mean of the span, of the lengths `STOOD`, in which a constant leaves the fewest squares less than
-    the twin.
+    The level is the median of the span, of the lengths `STOOD`, in which a constant leaves the fewest squares less than
+    the twin, whose offset in the span is of no account: another effect may cause it.
     """
     if candidate.at_level is None:
         return None
@@ -185,16 +185,16 @@ def _stuck_at(candidate: Candidate, known: Basis, grid: Grid, run: FreeRun) -> C
     middle = float(grid.measured[good, j].mean())
     read = np.where(good, grid.measured[:, j] - middle, 0.0)
     off = np.where(good, grid.measured[:, j] - run.readings[:, j], 0.0)
-    sums = np.zeros((len(read) + 1, 4))
-    np.cumsum(np.stack([good, read, read**2, off**2], axis=1), axis=0, out=sums[1:])
+    sums = np.zeros((len(read) + 1, 5))
+    np.cumsum(np.stack([good, read, read**2, off, off**2], axis=1), axis=0, out=sums[1:])
     best, level_c = 0.0, None
     for share in STOOD:
         n = min(max(round(share * len(read)), 2), len(read))
-        count, total, squares, of_twin = (sums[n:] - sums[:-n]).T
-        gained = of_twin - squares + total**2 / np.maximum(count, 1.0)
+        count, total, squares, of_twin, squares_of_twin = (sums[n:] - sums[:-n]).T
+        gained = squares_of_twin - squares + (total**2 - of_twin**2) / np.maximum(count, 1.0)
         k = int(np.argmax(gained))
         if gained[k] > best:
-            best, level_c = float(gained[k]), middle + float(total[k] / count[k])
+            best, level_c = float(gained[k]), float(np.nanmedian(grid.measured[k : k + n, j]))
     return None if level_c is None else candidate.at_level(level_c)
 
 

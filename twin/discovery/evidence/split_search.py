@@ -228,7 +228,7 @@ def _nearer(part: Part) -> tuple[Candidate, ...]:
     for entry in part.scanned:
         c = entry.candidate
         if c.near is not None:
-            # A gain in error and a thermometer that sticks both follow its temperature.
+            # Laws of other parameters may follow the same driver at one place.
             first.setdefault((c.kind, c.where, c.driver, *c.changes), entry)
     best = dict(first)
     forms = {key: _near(entry) for key, entry in first.items()}
