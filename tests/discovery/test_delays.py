@@ -80,7 +80,7 @@ def test_heater_that_answers_late_is_told_with_its_form(
 
 
 def test_a_dead_time_of_more_than_a_load_step_is_told(brisk: Bench, brisk_healthy: Columns) -> None:
-    """What is late by two steps of the load resembles neither what is late by one nor what is late by four."""
+    """A delay by two steps of the load resembles neither one by a single step nor one by four."""
     time, inputs = brisk.inputs(24.0, 3)
     given, dead_s, onset_s = inputs.copy(), 700.0, 7.0 * HOUR
     later = time >= onset_s

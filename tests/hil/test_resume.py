@@ -54,8 +54,7 @@ def hil(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 def killed(place: Path, after: int, *arguments: object, by: signal.Signals = signal.SIGKILL) -> Path:
     """The folder of a run that SIGKILL, or another signal, ended at or after tick `after`."""
-    command = [*HIL, "run", str(place / "load.csv"), "--no-viewer"]
-    command += ["--runs", str(place / "runs"), *map(str, arguments)]
+    command = [*HIL, "run", str(place / "load.csv"), "--no-viewer", "--runs", str(place / "runs"), *map(str, arguments)]
     process = subprocess.Popen(command, cwd=PROJECT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     deadline = time.monotonic() + 180
     try:

@@ -81,19 +81,8 @@ async def test_kill_9_and_the_heater_is_cut_within_the_time_out_that_the_harness
         (tmp_path / "rig.toml").write_text(text, encoding="utf-8")
         (tmp_path / "load.csv").write_text(LOAD.format(400), encoding="utf-8")
         assert load_rig(tmp_path / "rig.toml").watchdog_s == pytest.approx(3.0)  # of abort_after_s; by itself 10 s
-        command = [
-            sys.executable,
-            "-m",
-            "hil",
-            "run",
-            "load.csv",
-            "--rig",
-            "rig.toml",
-            "--no-twin",
-            "--no-viewer",
-            "--no-report",
-        ]
-        command += ["--no-guardian"]  # which would be faster
+        command = [sys.executable, "-m", "hil", "run", "load.csv", "--rig", "rig.toml", "--no-twin", "--no-viewer"]
+        command += ["--no-report", "--no-guardian"]  # which would be faster
         with (tmp_path / "said.txt").open("wb") as said:
             process = await asyncio.create_subprocess_exec(*command, cwd=tmp_path, stdout=said, stderr=said)
         try:

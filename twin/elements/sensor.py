@@ -156,7 +156,7 @@ class Sensor(Element):
         )
 
     def _stuck(self, where: str, level_c: float) -> Candidate:
-        """Return a thermometer that sticks at a level, degC, which a record shows; the catalogue has any one."""
+        """Return a thermometer that sticks at a level, degC; the one of the catalogue stands for all levels."""
         return Candidate(
             "sensor",
             where,

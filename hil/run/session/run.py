@@ -186,7 +186,7 @@ async def _run_in(run: PreparedRun) -> RunResult:
         except JournalError as error:  # a lost journal must not prevent the other files
             manifest["problems"] = [*manifest["problems"], str(error)]
     manifest.pop("adoption", None)  # from an earlier segment
-    # Those of an earlier segment would lack this one.
+    # Pages that an earlier segment left would lack this one, so they are made anew.
     pages = () if request.report else ((REVIEW, folder.review), (REPORT, folder.report))
     unwanted = {name for name, path in pages if not path.is_file()}
     if follower and folder.review.is_file():

@@ -99,9 +99,7 @@ def test_hil_runs_on_a_rig_that_is_served_elsewhere_and_leaves_it_safe(tmp_path:
         assert any("No twin" in line for line in lines)
         done = hil("run", "load.csv", "--rig", "served.toml", "--no-viewer", "--no-report", cwd=tmp_path)
         assert done.returncode == 0, done.stderr
-        again = hil(
-            "run", "load.csv", "--rig", "served.toml", "--no-viewer", "--no-report", "--check-only", cwd=tmp_path
-        )
+        again = hil("run", "load.csv", "--rig", "served.toml", "--no-viewer", "--check-only", cwd=tmp_path)
         assert again.returncode == 0
         online = hil("check", "served.toml", "--online", cwd=tmp_path)
         assert "all 14 points are good" in online.stdout

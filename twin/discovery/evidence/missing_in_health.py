@@ -36,7 +36,8 @@ from twin.elements.candidates import Candidate
 from twin.network import Array
 
 MOST_LACKED = 3.0
-"""Prior standard deviations that a share may have which a commissioned twin lacked: 99.7 % of the prior."""
+"""Largest share that a commissioned twin may have lacked, in standard deviations of its prior, of which 99.7 % is
+within. A judgement."""
 MOST_LAWS, BEAM = 5, 6
 """Members of a set at most, beside given ones, and sets of each count in the beam. Judgements that bound the time: sets
 of five are common on the zoo's development families, and more were not tried."""
@@ -201,8 +202,7 @@ def _possible(
 
 
 def _may_lack(law: Candidate, size: float) -> bool:
-    """Return True if a commissioned twin may have lacked a law of a size: one within its bounds and, of a share, its
-    prior.
+    """Return True if a commissioned twin may have lacked a law of a size within its bounds and, for a share, its prior.
 
     A pump that delivers a tenth of its command is seen in commissioning. Sizes with units differ by the orders of rigs,
     and have no such limit.
@@ -216,8 +216,8 @@ def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:
     An effect present from the beginning is likelier a law that was always missing if the healthy record's amplitude,
     within a form error, is nearer to the fitted one than the prior of a fault is.
     """
-    begun = [e for e in entries if e.shape.name == "step" and e.shape.onset_s <= 0.0]
-    along = [e for e in begun if not e.candidate.sticks]
+    named = [e for e in entries if not e.candidate.sticks]
+    along = [e for e in named if e.shape.name == "step" and e.shape.onset_s <= 0.0]
     if known.health is None or known.structure is None or not along:
         return known
     missing = known.missing

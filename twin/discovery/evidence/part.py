@@ -36,15 +36,15 @@ SIDE_BY_SIDE = 4
 NEGLIGIBLE = 1e-12
 """Squares of an effect, relative to noise, below which it has no influence."""
 STOOD = (0.03, 0.1, 0.3)
-"""Shares of a record for which a thermometer that sticks may have stood still: minutes, hours, a third of it."""
+"""Shares of a record for which a thermometer that sticks may have stood still. A judgement: minutes to hours."""
 MUCH, APART, SIZES = 4.0, 4.0, 3
 """Sizes at which the fit of a lag or delay may begin, in typical ones: the least, their ratio, and how many. For the
 lag of an actuator they are 4 min, 16 min and an hour, its upper bound."""
 
 
 DEAD_APART_S = 150.0
-"""Least distance of the dead times at which a fit may begin, s; at most it is a block. What is late by one load step
-does not resemble what is late by half of it, whatever their ratio."""
+"""Distance of the dead times at which a fit may begin, s, or the length of a block if that is longer. A response that
+is delayed by one load step does not resemble one that is delayed by half of it. A judgement: it bounds their number."""
 
 
 @dataclass
@@ -170,10 +170,10 @@ class Part:
 
 
 def _stuck_at(candidate: Candidate, known: Basis, grid: Grid, run: FreeRun) -> Candidate | None:
-    """Return a thermometer that sticks, at the level at which it stood still while the twin moved; None if it did not.
+    """Return a stuck thermometer with the level at which its reading stood still while the twin's moved; None without.
 
-    The level is the median of the span, of the lengths `STOOD`, in which a constant leaves the fewest squares less than
-    the twin, whose offset in the span is of no account: another effect may cause it.
+    Of the spans of lengths `STOOD`, it takes the one in which a constant reduces the twin's squared error most. The
+    level is its median reading. The twin's mean error in a span does not count, as another effect may cause it.
     """
     if candidate.at_level is None:
         return None

@@ -245,6 +245,7 @@ def _nearer(part: Part) -> tuple[Candidate, ...]:
 
 
 def _near(entry: Entry) -> tuple[Candidate, ...]:
+    """Return the similar forms of an entry's law."""
     return () if entry.candidate.near is None else entry.candidate.near()
 
 
