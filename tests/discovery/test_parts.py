@@ -199,6 +199,19 @@ def test_a_thermometer_that_stands_still_is_noticed() -> None:
     assert not stuck("T_tank_C", time, coarse, 0.05)
 
 
+def test_a_thermometer_of_coarse_resolution_is_not_stuck_because_it_rests() -> None:
+    rng = np.random.default_rng(3)
+    time = 5.0 * np.arange(4000.0)
+    water = 40.0 + np.clip((time - 4000.0) / 2000.0, 0.0, 4.0)  # at rest, warmer by 4 K, at rest again
+    for resolution in (0.1, 0.25):  # a twin file states 0.05 K of noise, the instrument has 0.02
+        values = np.round((water + rng.normal(0.0, 0.02, 4000)) / resolution) * resolution
+        assert not stuck("T_tank_C", time, values, 0.05)
+    fine = np.round(water + rng.normal(0.0, 0.02, 4000), 2)
+    fine[2000:2600] = fine[2000]
+    (found,) = stuck("T_tank_C", time, fine, 0.05)
+    assert (found.first_s, found.last_s) == pytest.approx((10000.0, 12995.0), abs=20.0)
+
+
 def test_too_little_and_nothing_at_all_are_refused_in_a_sentence(bench: Bench) -> None:
     short = bench.record(0.25)
     with pytest.raises(TwinFileError, match="at least two windows"):

@@ -17,6 +17,8 @@ STAMPED = TWO.replace("[inputs]\n", "[inputs]\ntime_s = { nominal = 0.0 }\n")
 FLOW = '[elements.f]\nkind="flow"\npath=["a","b"]\npump="pump_speed_pct"\nnominal=3.0\n'
 ACTUATOR = '[elements.act]\nkind="actuator"\ncolumn="heater_power_W"\n'
 POWER = '[elements.p]\nkind="heat_source"\nnode="a"\ndriver="heater_power_W"\n'
+LOSS = '[elements.l]\nkind="ambient_loss"\nnode="b"\nhA=6.0\n'
+METER = '[elements.meter]\nkind="actuator"\ncolumn="T_ambient_C"\n'
 START = np.array([70.0, 25.0])
 
 
@@ -71,6 +73,11 @@ def run(extra: str, n: int = 150, text: str = TWO) -> np.ndarray:
             + law("law_actuator", column="heater_power_W", driver="heater_power_W", form="linear", gain=-2e-4),
             ACTUATOR + "droop=0.2\nfull=1000.0\n" + POWER,
         ),
+        (
+            LOSS + METER + law("law_input", column="T_ambient_C", driver="T_ambient_C", form="linear", gain=0.2),
+            LOSS + METER + "gain=0.8\n",
+        ),
+        (LOSS + METER + law("law_input", column="T_ambient_C", size=1.5), LOSS + METER + "offset=-1.5\n"),
     ],
 )
 def test_a_law_is_a_named_element_where_they_coincide(one: str, other: str) -> None:
@@ -181,6 +188,7 @@ def sites() -> list[tuple[str, str]]:
             "law_flow": 'flow = "f"\n',
             "law_reading": 'sensor = "T_a_C"\n',
             "law_actuator": 'column = "heater_power_W"\n',
+            "law_input": 'column = "T_ambient_C"\n',
         }[kind]
         found.append((kind, own))
     return found
@@ -203,12 +211,12 @@ def test_every_corner_of_the_bounds_is_finite(driver: str) -> None:
     parts = ""
     wanted = [*((sites_by_kind("law_heat"), form) for form in FORMS), *((s, "") for s in sites())]
     for k, ((kind, own), form) in enumerate(wanted):
-        switched = kind in ("law_fluid", "law_actuator") and "of" in driver
+        switched = kind in ("law_fluid", "law_actuator", "law_input") and "of" in driver
         form = form or ("threshold" if switched else "dead_band")
         parts += one_law(
             f"x{k}", kind, own, form, list(COURSES)[k % len(COURSES)], driver if form != "constant" else ""
         )
-    net = parse(STAMPED + FLOW + ACTUATOR + POWER + parts)
+    net = parse(STAMPED + FLOW + ACTUATOR + POWER + LOSS + METER + parts)
     ids = tuple(p.id for p in net.parameters.values() if p.element.startswith("x"))
     rng, (low, high) = np.random.default_rng(0), net.bounds(ids)
     full = np.tile(net.values, (32, 1))
@@ -245,6 +253,8 @@ def test_a_law_of_zero_strength_changes_nothing() -> None:
         (law("law_reading", sensor="T_c_C"), "did you mean"),
         (law("law_reading", sensor="T_a_C", of="a", form="memory"), "its lag_s"),
         (law("law_actuator", column="heater_power_W"), "has no actuator to change"),
+        (law("law_input", column="T_ambient_C"), "has no actuator to change"),
+        (ACTUATOR + law("law_input", column="heater_power_W"), "is no temperature in degC"),
     ],
 )
 def test_inconsistent_laws_are_refused_in_one_sentence(extra: str, said: str) -> None:
@@ -260,7 +270,7 @@ def test_a_spell_must_end_after_it_begins() -> None:
 @pytest.mark.parametrize(("kind", "own"), sites())
 def test_a_law_is_written_as_it_is_read(kind: str, own: str) -> None:
     driver = 'driver = "T_supply_C"\nminus_input = "T_ambient_C"\n'
-    net = parse(STAMPED + FLOW + ACTUATOR + POWER + one_law("x", kind, own, "threshold", "periodic", driver))
+    net = parse(STAMPED + FLOW + ACTUATOR + POWER + METER + one_law("x", kind, own, "threshold", "periodic", driver))
     again = parse(dump(net))
     assert again.elements == net.elements and dict(again.parameters) == dict(net.parameters)
 

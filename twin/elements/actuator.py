@@ -3,7 +3,7 @@
     c(t)  = command(t - dead_time_s)
     lag_s * da/dt = c - a
     d = full * (a / full)^exponent
-    value = gain * d * (1 - droop * a / full) + offset, times the change that a `law_actuator` may name
+    value = gain * d * (1 - droop * a / full) + offset, changed as a `law_actuator` or `law_input` may name
 
 An actuator or meter of anything but a temperature delivers nothing where that is less than nothing: `offset` below zero
 is a dead band.
@@ -90,7 +90,7 @@ class Actuator(Element):
                 value = f"max({value}, 0.0)"
         changes = n.changed_by(input_target(self.column))
         for change in changes:
-            value = f"({value}) * {change.format(command=n.arrived())}"
+            value = change.format(output=f"({value})", command=n.arrived())
         dead_time = None if n.constant("dead_time_s") == 0.0 else n.par("dead_time_s")
         lag = None if n.constant("lag_s") == 0.0 else n.par("lag_s")
         unit = unit_of(self.column)

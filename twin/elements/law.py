@@ -9,6 +9,7 @@ the vocabulary of `law_forms`. x is an input column or a temperature, less anoth
     law_flow         flow times (1 + value), or plus value L/min
     law_reading      reading plus value K
     law_actuator     output of an actuator times (1 + value)
+    law_input        temperature of an input column less value K, by which its thermometer reads too high
 
 The value of a law with an input column as driver, and that of a threshold, is computed once a sample. A switch looks
 at its driver at the samples, and a memory follows the column as it is held between them, exactly. A flow follows a
@@ -21,6 +22,7 @@ Source: heat balances of the lumped volume, Incropera, Fundamentals of Heat and 
 from __future__ import annotations
 
 import re
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -422,22 +424,18 @@ class LawReading(Law):
         return Fragment() if self.absent(n) else Fragment(memories=self.memories(n))
 
 
-@dataclass(frozen=True)
-class LawActuator(Law):
-    """Relative change of the output of an actuator: 0.1 for a tenth more than commanded."""
+@dataclass(frozen=True, kw_only=True)
+class LawOfInput(Law):
+    """Change of what the twin is given of an input column, which needs an element of kind actuator."""
 
-    kind: ClassVar[str] = "law_actuator"
-    unit: ClassVar[str] = "1"
-    most: ClassVar[float] = 1.0e3
-
-    column: str = place("input", "input column with the command; it needs an element of kind actuator")
+    column: str = place("input", "input column that is changed; it needs an element of kind actuator")
 
     def own_inputs(self) -> tuple[str, ...]:
         return (self.column,)
 
     def problem(self, values: Mapping[str, float]) -> str | None:
         if self.follows_temperature:
-            return "an actuator follows an input column; a temperature can only switch it (form 'threshold')"
+            return "an input follows an input column; a temperature can only switch it (form 'threshold')"
         return super().problem(values)
 
     def changes(self) -> str:
@@ -447,11 +445,43 @@ class LawActuator(Law):
         if self.absent(n):
             return ""
         text = self.value_text(n, self.driver_text(n), n.local("switch" if self.form == "threshold" else "z"))
-        text = re.sub(rf"\b{n.input(self.column)}\b", "{command}", text)
-        return f"min(max(1.0 + {text}, 0.0), {1.0 + MOST_SHARE!r})"
+        return self.changed(re.sub(rf"\b{n.input(self.column)}\b", "{command}", text))
+
+    @abstractmethod
+    def changed(self, value: str) -> str:
+        """Return the changed output as an expression of "{output}", the one without this law."""
 
     def emit(self, n: Names) -> Fragment:
         return Fragment() if self.absent(n) else Fragment(memories=self.memories(n))
+
+
+@dataclass(frozen=True)
+class LawActuator(LawOfInput):
+    """Relative change of the output of an actuator: 0.1 for a tenth more than commanded."""
+
+    kind: ClassVar[str] = "law_actuator"
+    unit: ClassVar[str] = "1"
+    most: ClassVar[float] = 1.0e3
+
+    def changed(self, value: str) -> str:
+        return f"{{output}} * min(max(1.0 + {value}, 0.0), {1.0 + MOST_SHARE!r})"
+
+
+@dataclass(frozen=True)
+class LawInput(LawOfInput):
+    """Error of the thermometer of an input column, such as the room's: it reads value K too high."""
+
+    kind: ClassVar[str] = "law_input"
+    unit: ClassVar[str] = "K"
+    most: ClassVar[float] = 1.0e3
+
+    def problem(self, values: Mapping[str, float]) -> str | None:
+        if not self.column.endswith("_C"):
+            return f"column {self.column!r} is no temperature in degC: its name does not end in _C"
+        return super().problem(values)
+
+    def changed(self, value: str) -> str:
+        return f"{{output}} - {value}"
 
 
 def _with_heat(parts: Fragment, heat: Mapping[str, str], conductance: Mapping[str, str]) -> Fragment:

@@ -33,7 +33,8 @@ def adopt_law(
     """Return the network with one more law; the old one stays unchanged.
 
     Input columns that the network lacks are declared: a column of the record with the median and the range that it
-    has there, and the stamps. An actuator law brings a neutral actuator with it where the column has none.
+    has there, and the stamps. A law of an actuator or of an
+    input brings a neutral actuator with it where the column has none.
 
     Parameters
     ----------
@@ -74,7 +75,8 @@ def adopt_law(
     inputs = {column: _declared(network, column, columns) for column in wanted if column not in network.inputs}
     tables = {name: table}
     column = keys.get("column", "")
-    if kind == "law_actuator" and not any(e.kind == "actuator" and column in e.inputs() for e in network.elements):
+    delivering = any(e.kind == "actuator" and column in e.inputs() for e in network.elements)
+    if kind in ("law_actuator", "law_input") and not delivering:
         tables = {f"actuator_of_{column}": {"kind": "actuator", "column": column}, **tables}
     return with_elements(network, tables, revision=revision, inputs=inputs)
 

@@ -172,6 +172,8 @@ def adopted(network: Network, candidate: Candidate, size: float) -> Network:
     form, column = law.pop("form"), law.pop("column")
     strength = FORMS[form][0]
     for name, table in candidate.adds.items():
+        if f"{name}.gain" not in candidate.changes:
+            continue  # an actuator, which adoption brings with it
         site = {key: str(value) for key, value in table.items() if key not in ("driver", "form")}
         weight = candidate.changes[f"{name}.gain"]
         parameters = {**law, strength: size * weight * law[strength]}

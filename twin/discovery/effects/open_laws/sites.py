@@ -1,8 +1,8 @@
 """Sites of open laws: the places of a network where something may act with a value of one unit.
 
 A site takes heat into a node or out of one into another, heat into the solid part of a node that its thermometer reads,
-a share of a flow, a conductance to the room, or an error of a reading. Its response per unit is that of the named law
-there.
+a share of a flow, a conductance to the room, or an error of a reading or of the room's thermometer. Its response per
+unit is that of the named law there.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ def sites_of(network: Network, named: Sequence[CandidateLaw]) -> list[OpenSite]:
         site: OpenSite | None = None
         if c.kind == "heat_source" and c.driver == "constant" and law.heat is not None:
             site = _heat_site(network, law)
-        elif c.kind == "sensor" and c.driver == "constant" and law.reading is not None:
-            site = _reading_site(network, law)
+        elif c.kind == "sensor" and c.driver == "constant":
+            site = _input_site(network, law) if c.where in network.input_columns else _reading_site(network, law)
         elif circuit_of(network, c):
             site = _flow_site(network, law)
         elif c.kind == "heat_loss" and c.driver == "temperature_difference":
@@ -116,7 +116,7 @@ def _heat_site(network: Network, law: CandidateLaw) -> OpenSite:
 def _reading_site(network: Network, law: CandidateLaw) -> OpenSite | None:
     c = law.candidate
     names = [key.split(".")[0] for key in c.changes]
-    if any(n not in network.sensor_names for n in names):
+    if law.reading is None or any(n not in network.sensor_names for n in names):
         return None
     name = f"read_{_plain(c.where)}"
     elements = {s: free_name(f"{name}_{s}", network.elements) for s in names}
@@ -139,6 +139,30 @@ def _reading_site(network: Network, law: CandidateLaw) -> OpenSite | None:
         law.reading,
         "reads {value} too high",
         reads=dict.fromkeys(names, 1.0),
+    )
+
+
+def _input_site(network: Network, law: CandidateLaw) -> OpenSite | None:
+    """Return the thermometer of an input, such as the room's: its error acts wherever the input does."""
+    c = law.candidate
+    if law.heat is None:
+        return None
+    name = f"read_{_plain(c.where)}"
+    added = free_name(name, network.elements)
+    table = {"kind": "law_input", "column": c.where, "driver": f"open_{name}", "form": "linear"}
+    return OpenSite(
+        name,
+        "sensor",
+        c.where,
+        {added: table, **c.adds},
+        {f"{added}.gain": 1.0},
+        "K",
+        c.typical,
+        c.lower,
+        c.upper,
+        law.heat,
+        None,
+        "reads {value} too high",
     )
 
 
