@@ -43,8 +43,9 @@ from twin.discovery.thermometers.faulty_thermometers import attributed, stuck_ef
 from twin.network import Array, Network
 
 _BEYOND = (
-    "something misfits that no effect of the catalogue explains, by no more than a healthy twin may leave where inputs "
-    "go far beyond their range in the healthy record; a healthy record with such inputs would tell whether it is new"
+    "something misfits that no effect of the catalogue explains; where inputs stay near their range in the healthy "
+    "record it does not show, or is no more than a healthy twin may leave; a healthy record with such inputs would "
+    "tell whether it is new"
 )
 _TOO_LITTLE = (
     "no effect is likely, and yet the re-tuned twin is off by ten times as much as in health, or by as much as a "

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.healthy.basis import Columns
-from twin.network import InputSpec, Network
+from twin.network import Array, InputSpec, Network
 
 BEYOND = 0.5
 """Share of an input's healthy range by which it must exceed that range for a note."""
@@ -28,17 +30,16 @@ def with_range_notes(found: Diagnosis, network: Network, record: Columns, health
 def range_notes(network: Network, record: Columns, healthy: Columns) -> list[str]:
     """Return a sentence for each input of the record far beyond its range in the healthy record."""
     said = []
-    for j, (column, spec) in enumerate(network.inputs.items()):
-        here, then = (x[np.isfinite(x)] for x in (record.inputs[:, j], healthy.inputs[:, j]))
-        if column.startswith("time_of_day") or not here.size or not then.size:
+    for column, spec, j, limits in _ranges(network, healthy):
+        here = record.inputs[np.isfinite(record.inputs[:, j]), j]
+        if not here.size:
             continue
-        (low, high), (least, most) = np.percentile(then, BRIEF), np.percentile(here, BRIEF)
-        room = BEYOND * max(high - low, STEADY * _width(spec))
-        below, above = least < low - room, most > high + room
+        least, most = np.percentile(here, BRIEF)
+        below, above = least < limits.least, most > limits.most
         if not below and not above:
             continue
         name, unit = column.rsplit("_", 1)[0], f" {spec.unit}" if spec.unit not in ("", "1") else ""
-        was = _between(low, high)
+        was = _between(limits.low, limits.high)
         now = (
             _between(least, most) if below and above else f"up to {_said(most)}" if above else f"down to {_said(least)}"
         )
@@ -47,6 +48,39 @@ def range_notes(network: Network, record: Columns, healthy: Columns) -> list[str
             "been so"
         )
     return said
+
+
+def outside(network: Network, inputs: Array, healthy: Columns) -> np.ndarray:
+    """Return True where one of the inputs (n, c) is far beyond its range in the healthy record."""
+    found = np.zeros(len(inputs), dtype=bool)
+    for _, _, j, limits in _ranges(network, healthy):
+        found |= (inputs[:, j] < limits.least) | (inputs[:, j] > limits.most)
+    return found
+
+
+class _Limits(NamedTuple):
+    """Range of an input in health, and the limits beyond which it is far from it."""
+
+    low: float
+    high: float
+    least: float
+    most: float
+
+
+def _ranges(network: Network, healthy: Columns) -> Iterator[tuple[str, InputSpec, int, _Limits]]:
+    """Yield each input but the time of day, its column and its limits.
+
+    A temperature acts by its difference from those of the rig, whose range in health counts as its own.
+    """
+    spans = [np.ptp(np.percentile(y[np.isfinite(y)], BRIEF)) for y in healthy.measured.T if np.isfinite(y).any()]
+    of_rig = float(max(spans, default=0.0))
+    for j, (column, spec) in enumerate(network.inputs.items()):
+        then = healthy.inputs[np.isfinite(healthy.inputs[:, j]), j]
+        if column.startswith("time_of_day") or not then.size:
+            continue
+        low, high = (float(x) for x in np.percentile(then, BRIEF))
+        room = BEYOND * max(high - low, STEADY * _width(spec), of_rig if column.endswith("_C") else 0.0)
+        yield column, spec, j, _Limits(low, high, low - room, high + room)
 
 
 def _width(spec: InputSpec) -> float:
