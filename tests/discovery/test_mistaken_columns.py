@@ -45,6 +45,24 @@ def test_a_temperature_in_another_unit_is_asked_about(
     assert asked.startswith(f"{column} looks like {unit}: read so, the twin is off by 0.0")
 
 
+def test_plugs_exchanged_amid_a_record_are_asked_about(brisk: Bench, brisk_healthy: Columns, record: Columns) -> None:
+    heater, tank = (brisk.network.sensor_names.index(name) for name in ("T_heater_C", "T_tank_C"))
+    measured, since = record.measured.copy(), record.time_s >= 1800.0
+    measured[since, heater], measured[since, tank] = record.measured[since, tank], record.measured[since, heater]
+    (asked,) = column_mistakes(brisk.network, replace(record, measured=measured), brisk_healthy)
+    assert asked.startswith(
+        "from 30 min on, T_heater_C and T_tank_C look exchanged: read the other way round, the twin"
+    )
+
+
+def test_a_logger_that_is_set_to_another_unit_for_a_time_is_asked_about(brisk: Bench, record: Columns) -> None:
+    tank = brisk.network.sensor_names.index("T_tank_C")
+    measured, amid = record.measured.copy(), (record.time_s >= 600.0) & (record.time_s < 1800.0)
+    measured[amid, tank] = 1.8 * measured[amid, tank] + 32.0
+    (asked,) = column_mistakes(brisk.network, replace(record, measured=measured))
+    assert asked.startswith("from 10 min to 30 min, T_tank_C looks like degrees Fahrenheit")
+
+
 def test_effects_of_a_rig_are_no_mistakes_of_its_file(brisk: Bench, brisk_healthy: Columns, record: Columns) -> None:
     assert not column_mistakes(brisk.network, record, brisk_healthy)
     heated = brisk.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 300.0})
@@ -53,6 +71,8 @@ def test_effects_of_a_rig_are_no_mistakes_of_its_file(brisk: Bench, brisk_health
         for error in (3.0, -0.2 * record.measured[:, j]):
             measured = record.measured.copy()
             measured[:, j] += error
+            assert not column_mistakes(brisk.network, replace(record, measured=measured), brisk_healthy)
+            measured[: len(measured) // 2] = record.measured[: len(measured) // 2]
             assert not column_mistakes(brisk.network, replace(record, measured=measured), brisk_healthy)
     measured = np.full_like(record.measured, np.nan)
     measured[:, 0] = record.measured[:, 0]
