@@ -167,7 +167,7 @@ def _labels(
     alone: dict[str, list[tuple[str, str]]] = {}
     between: dict[tuple[str, str], list[str]] = {}
     for e in network.elements:
-        if e.kind in ("node", "flow", "pipe", "actuator", "law_actuator", "law_input"):
+        if e.kind in ("node", "flow", "pipe", "actuator", "law_actuator", "law_input", "limiter"):
             continue
         nodes = e.nodes()
         if isinstance(e, Sensor):

@@ -145,7 +145,8 @@ def _undone(network: Network, record: Columns, *, inputs: bool = True) -> Iterat
     for (a, one), (b, other) in itertools.combinations(columns, 2):
         same_unit = a.rpartition("_")[2] == b.rpartition("_")[2]
         if a != b and same_unit and not np.array_equal(one, other, equal_nan=True):
-            says = f"{a} and {b} look exchanged: read the other way round, {{errors}}. Are their headings right, and their plugs?"
+            asks = "Are their headings right, and their plugs?"
+            says = f"{a} and {b} look exchanged: read the other way round, {{errors}}. {asks}"
             yield _Undone(says, _with(network, record, {a: other, b: one}))
     for name, values in columns:
         for unit, celsius in _UNITS if name.endswith("_C") else ():

@@ -45,7 +45,7 @@ class Candidate:
     near
         Function that makes similar forms, which are tested where this one scores.
     at_level
-        Of a thermometer that sticks: function that makes the same at another level, degC.
+        Of a thermometer that sticks, or of an actuator that is limited: function that makes the same at another level.
     begins
         Input column whose temperature an added mass has at its onset, or "" for that of its place.
     slow_s, slower
@@ -87,6 +87,11 @@ class Candidate:
     def is_open(self) -> bool:
         """Return True for a law without a name."""
         return bool(self.adopts)
+
+    @property
+    def is_limit(self) -> bool:
+        """Return True for an actuator that delivers less above a level."""
+        return self.kind == "actuator" and self.at_level is not None
 
     @property
     def sticks(self) -> bool:

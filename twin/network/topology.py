@@ -12,6 +12,7 @@ from twin.elements.exchanger import Exchanger
 from twin.elements.flow import Flow
 from twin.elements.heat_source import HeatSource
 from twin.elements.law import LawFlow, LawFluid, LawHeat, LawOfInput, LawReading
+from twin.elements.limiter import Limiter
 from twin.elements.meter import Meter
 from twin.elements.node import Node
 from twin.elements.pipe import Pipe
@@ -82,7 +83,7 @@ def _named_elements(elements: tuple[Element, ...], fail: Callable[[str, str], ob
             if other not in known:
                 hint = did_you_mean(other, known) or f"; it has: {', '.join(known) or 'none'}"
                 fail(e.name, f"{key} {other!r} is no element of kind {' or '.join(wanted)}{hint}")
-        if isinstance(e, LawOfInput) and e.column not in driven:
+        if isinstance(e, LawOfInput | Limiter) and e.column not in driven:
             fail(e.name, f"input {e.column!r} has no actuator to change; add an element of kind 'actuator' for it")
 
 

@@ -37,6 +37,9 @@ NEGLIGIBLE = 1e-12
 """Squares of an effect, relative to noise, below which it has no influence."""
 STOOD = (0.03, 0.1, 0.3)
 """Shares of a record for which a thermometer that sticks may have stood still. A judgement: minutes to hours."""
+LIMITED = (0.1, 0.3, 0.5, 0.7, 0.9)
+"""Levels at which an actuator may be limited, as shares of the range of its command. Others are tried about the best.
+"""
 MUCH, APART, SIZES = 4.0, 4.0, 3
 """Sizes at which the fit of a lag or delay may begin, in typical ones: the least, their ratio, and how many. For the
 lag of an actuator they are 4 min, 16 min and an hour, its upper bound."""
@@ -64,9 +67,9 @@ class Part:
     def of(cls, known: Basis, grid: Grid) -> Part:
         state, run, _, _ = free_run(known.probe, grid)
         book = known.book
-        stuck = tuple(at for c in book.candidates if (at := _stuck_at(c, known, grid, run)) is not None)
+        levelled = tuple(at for c in book.candidates for at in _at_levels(c, known, grid, run))
         every = [law for law in book.laws(grid, run) if law.candidate.at_level is None]
-        every += [law for only in (book.put_in, book.passing, stuck) for law in book.laws(grid, run, only)]
+        every += [law for only in (book.put_in, book.passing, levelled) for law in book.laws(grid, run, only)]
         assumed = known.assumed(grid)
         found = [law for law in every if law.candidate.where not in assumed]
         told = [*found, *_missing(known, grid, run, found)]
@@ -167,6 +170,19 @@ class Part:
 
     def reset(self) -> None:
         self.score_test.look_at(self.run)
+
+
+def _at_levels(candidate: Candidate, known: Basis, grid: Grid, run: FreeRun) -> list[Candidate]:
+    """Return a law with a level of its own at the levels that this record suggests; none for other laws."""
+    if candidate.at_level is None:
+        return []
+    if candidate.is_limit:
+        column = next(str(table["column"]) for table in candidate.adds.values())
+        values = grid.inputs[:, known.probe.network.input_columns.index(column)]
+        low, high = float(values.min()), float(values.max())
+        return [candidate.at_level(low + share * (high - low)) for share in LIMITED] if high > low else []
+    stuck = _stuck_at(candidate, known, grid, run)
+    return [] if stuck is None else [stuck]
 
 
 def _stuck_at(candidate: Candidate, known: Basis, grid: Grid, run: FreeRun) -> Candidate | None:

@@ -1,0 +1,32 @@
+"""Actuators that deliver no more than a level: a heater at its current limit, a fan at the top of its converter."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.discovery.conftest import Bench
+from twin.discovery import diagnose
+from twin.discovery.healthy.basis import Columns
+from twin.revisions import with_elements
+from twin.twinfile import dump, parse
+
+
+@pytest.mark.parametrize(("column", "level"), [("heater_power_W", 730.0), ("fan_speed_pct", 60.0)])
+def test_a_limit_is_found_with_its_level(brisk: Bench, brisk_healthy: Columns, column: str, level: float) -> None:
+    limited = with_elements(
+        brisk.network,
+        {
+            "drive": {"kind": "actuator", "column": column},
+            "limit": {"kind": "limiter", "column": column, "share": 1.0, "offset": level},
+        },
+    )
+    found = diagnose(brisk.network, brisk.record(12.0, changed=limited, onset_h=3.0), brisk_healthy)
+    (first,) = found.effects
+    what = column.rsplit("_", 1)[0]
+    assert (first.kind, first.where, first.driver) == ("actuator", what, what) and first.value == pytest.approx(
+        1.0, abs=0.05
+    )
+    assert found.network is not None
+    values = parse(dump(found.network)).parameters
+    share, offset = (values[f"limit_of_{column}.{name}"].value for name in ("share", "offset"))
+    assert offset / share == pytest.approx(level, rel=0.1)
