@@ -94,6 +94,11 @@ class Candidate:
         return self.kind == "actuator" and self.at_level is not None
 
     @property
+    def has_level(self) -> bool:
+        """Return True for a law with a level of its own; shares of several levels together are a gain of any size."""
+        return self.sticks or self.is_limit
+
+    @property
     def sticks(self) -> bool:
         """Return True for a thermometer that reads the same whatever it measures."""
         return self.kind == "sensor" and any("_sticks" in name for name in self.adds)

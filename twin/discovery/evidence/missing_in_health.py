@@ -108,7 +108,7 @@ def with_missing(part: Part) -> Basis:
         return known
     prior, effects = Prior(part.laws), _leading_effects(part)
     amounts = known.health.amplitudes(
-        [law.candidate for law in part.laws if not (law.candidate.sticks or law.candidate.is_limit)], known.probe.scaling.ids
+        [law.candidate for law in part.laws if not law.candidate.has_level], known.probe.scaling.ids
     )
     if not amounts.candidates:
         return known
@@ -138,7 +138,7 @@ def with_missing_beside(part: Part, fit: Fit, further: Sequence[Entry]) -> Basis
     known = part.basis
     if known.health is None or known.structure is None:
         return known
-    candidates = [law.candidate for law in part.laws if not (law.candidate.sticks or law.candidate.is_limit)]
+    candidates = [law.candidate for law in part.laws if not law.candidate.has_level]
     amounts = _amounts_of(known, known.health, candidates)
     if known.earlier is None:
         amounts = amounts.with_unknown([c for c in candidates if not c.is_open])
@@ -216,7 +216,7 @@ def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:
     An effect present from the beginning is likelier a law that was always missing if the healthy record's amplitude,
     within a form error, is nearer to the fitted one than the prior of a fault is.
     """
-    named = [e for e in entries if not (e.candidate.sticks or e.candidate.is_limit)]
+    named = [e for e in entries if not e.candidate.has_level]
     along = [e for e in named if e.shape.name == "step" and e.shape.onset_s <= 0.0]
     if known.health is None or known.structure is None or not along:
         return known

@@ -148,4 +148,4 @@ def belongs(candidate: Candidate, score_test: ScoreTest) -> bool:
     error of gain and offset of any size.
     """
     tunable = set(candidate.changes) <= set(score_test.probe.scaling.ids)
-    return candidate.driver not in _OF_TIME and not (candidate.sticks or candidate.is_limit) and not tunable
+    return candidate.driver not in _OF_TIME and not candidate.has_level and not tunable
