@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from twin.historian.checks import FAN_APART
     from twin.historian.columns import OF_CELL, OF_STATION
     from twin.historian.events import INFLUENCE, Event, disturbed, influence_of
-    from twin.historian.plausible import SITE_PRESSURE, in_usual_units, usual_at_work
+    from twin.historian.plausible import SITE_PRESSURE, exchanged_meters, in_usual_units, usual_at_work
     from twin.historian.ratings import Ratings
     from twin.historian.record import CellMinutes, cell_minutes, out_of_range, shared_minutes
     from twin.historian.regimes import START_UP_MIN, Regime, start_ups
@@ -40,6 +40,7 @@ __all__ = [
     "UnitError",
     "cell_minutes",
     "disturbed",
+    "exchanged_meters",
     "full_speed_of",
     "in_usual_units",
     "influence_of",
@@ -58,7 +59,7 @@ __getattr__, __dir__ = lazy_names(
         "checks": ("FAN_APART",),
         "columns": ("OF_CELL", "OF_STATION"),
         "events": ("Event", "INFLUENCE", "disturbed", "influence_of"),
-        "plausible": ("SITE_PRESSURE", "in_usual_units", "usual_at_work"),
+        "plausible": ("SITE_PRESSURE", "exchanged_meters", "in_usual_units", "usual_at_work"),
         "ratings": ("Ratings",),
         "record": ("CellMinutes", "cell_minutes", "out_of_range", "shared_minutes"),
         "regimes": ("Regime", "START_UP_MIN", "start_ups"),

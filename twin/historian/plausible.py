@@ -9,9 +9,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from twin.historian.exchanges import exchanged_meter
+from twin.historian.exchanges import Exchange, exchanged_meter
 from twin.historian.ratings import Ratings, contradictions
-from twin.historian.tags import Array, Series, Tag
+from twin.historian.tags import Array, Defect, Series, Tag
 from twin.historian.units import SPEEDS, UNITS, Unit, full_speed_of, possible_units, unit_of
 
 USUAL: dict[str, tuple[float, float]] = {
@@ -58,6 +58,8 @@ OF_MOTOR = (0.01, 1.5)
 USUAL_FLOW = (0.25, 1.5)
 """Times the design flow between which a cell is run: below, the fill is not wetted; above, nozzles and basin overflow.
 Another unit in which the flow is usual is taken as its right one."""
+METERED = ("water_flow", "makeup_flow", "blowdown_flow")
+"""Roles of flow meters whose level of a day is alike from one day to the next."""
 COUNTED = ("mass flow", "power")
 """Dimensions whose meters have a totaliser, of water or energy."""
 PARTS, FEWEST_STEPS, MOST_WRAPS = 4, 50, 0.25
@@ -179,14 +181,44 @@ def _of_one_meter(series: Series, design_kg_s: float | None) -> tuple[Series | N
             f"{name} only rises, but for falls over most of its range, as a totaliser does; it is left out: map the "
             f"tag of the rate, or store its increase per time"
         )
-    change = exchanged_meter(series, design_kg_s) if series.tag.role == "water_flow" else None
-    if change is None:
-        return series, ""
-    return change.right(series), (
-        f"{name} goes from {change.before:.4g} to {change.after:.4g} {unit} at "
+    change = _exchange(series, design_kg_s)
+    return (series, "") if change is None else (change.right(series), _says_exchanged(series, change))
+
+
+def _exchange(series: Series, design_kg_s: float | None) -> Exchange | None:
+    """Return the exchange of a meter of a flow, None of one without; only cells have a design flow."""
+    if series.tag.role not in METERED:
+        return None
+    return exchanged_meter(series, design_kg_s if series.tag.role == "water_flow" else None)
+
+
+def _says_exchanged(series: Series, change: Exchange) -> str:
+    return (
+        f"{series.tag.name} goes from {change.before:.4g} to {change.after:.4g} {series.tag.unit} at "
         f"{np.datetime64(int(change.time_s), 's')}Z and stays there, as of a meter that was exchanged; its samples "
         f"{'from then on' if change.late_is_wrong else 'before'} are left out: correct them in the store"
     )
+
+
+def exchanged_meters(series: Iterable[Series], ratings: Ratings) -> list[Defect]:
+    """Return the parts of the record whose samples `in_usual_units` leaves out, as of meters that were exchanged.
+
+    Parameters
+    ----------
+    series
+        Raw samples.
+    ratings
+        Of the datasheet.
+    """
+    found = []
+    for one in series:
+        if unit_of(one.tag.unit).dimension in COUNTED and _counts(one):
+            continue
+        if (change := _exchange(one, ratings.water_flow_kg_s)) is not None:
+            times = one.time_s[one.good]
+            span = (change.time_s, float(times.max())) if change.late_is_wrong else (float(times.min()), change.time_s)
+            found.append(Defect("range_change", (one.tag.name,), *span, _says_exchanged(one, change), "left out"))
+    return found
 
 
 def _counts(series: Series) -> bool:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.historian.checks import FAN_APART
+from twin.historian.defects.panel import known_median
 from twin.historian.regimes import FOLLOWS_PCT, STANDSTILL_PCT
 from twin.historian.tags import Array, Series, longest_interval_s
 from twin.historian.units import SPEEDS, UNITS, WATER_DENSITY, Unit, full_speed_of, possible_units, unit_of
@@ -29,7 +30,8 @@ PARTS = 8
 """Parts of a record in which a ratio must be alike: four days of a month, which average over a day and a filling of the
 basin."""
 MOSTLY = 0.8
-"""Share of the hours in which temperatures of the air are possible in a unit."""
+"""Share of the hours in which temperatures of the air are possible in a unit, and of the parts of a record that a wrong
+unit spoils: a changed range or a fault spoils fewer."""
 NO_CLOSURE_K, CLOSURE_SHARE = 1.0, 0.25
 """Distance of the wet bulb from that of dry bulb and humidity, in the median, that is twice what humidities good to 3 %
 leave; and the largest share of it that the right unit leaves."""
@@ -209,10 +211,12 @@ def _of_heat(
     water = [of.get((f"{name}_flow", None)) for name in ("makeup", "blowdown")]
     makeup, blowdown = water
     if makeup is not None and not any(one.units for one in found):
-        gone = _hourly(makeup, grid) - (0.0 if blowdown is None else np.nan_to_num(_hourly(blowdown, grid)))
+        gone = _hourly_mean(makeup, grid) - (0.0 if blowdown is None else np.nan_to_num(_hourly_mean(blowdown, grid)))
         ratio = LATENT_KJ_KG * _ratio(gone, heat)
         # A part of the heat is sensible, more of it in the cold; without its own meter, blowdown is in the make-up.
         band = low / CERTAIN, high if blowdown is not None else CERTAIN * high
+        if not np.isfinite(ratio):
+            ratio = _beyond(LATENT_KJ_KG * gone, heat, band)
         both = [one for one in water if one is not None and one.tag.unit == makeup.tag.unit]
         found += _blamed(ratio, band, (both, 1.0), None, WATER)
     return found
@@ -335,6 +339,41 @@ def _ratio(value: Array, heat: Array) -> float:
     return ratio if (np.abs(parts - ratio) <= (CERTAIN - 1.0) * abs(ratio)).all() else float("nan")
 
 
+def _beyond(value: Array, heat: Array, band: tuple[float, float]) -> float:
+    """Return the sum of a quantity over that of the heat where most parts of the record are beyond one end of a band,
+    NaN otherwise.
+
+    The cells of which nothing is recorded work by turns, so that the ratio of a right meter differs from part to part.
+    """
+    rows = np.flatnonzero(np.isfinite(value) & np.isfinite(heat))
+    if len(rows) < FEWEST:
+        return float("nan")
+    sums = np.array([[value[part].sum(), heat[part].sum()] for part in np.array_split(rows, PARTS)])
+    if not (sums[:, 1] > 0.0).all():
+        return float("nan")
+    parts = sums[:, 0] / sums[:, 1]
+    most_are = max((parts > band[1]).mean(), (parts < band[0]).mean()) >= MOSTLY
+    return float(sums[:, 0].sum() / sums[:, 1].sum()) if most_are else float("nan")
+
+
+def _hourly_mean(series: Series, grid: Array) -> Array:
+    """Return the means over the hours about times (m,), in the record's unit: a valve that opens by turns is seldom
+    met by single values. NaN in hours that reach into a hole."""
+    time_s, first = np.unique(series.time_s, return_index=True)
+    value = series.value[first]
+    if len(time_s) < 2:
+        return np.full(len(grid), np.nan)
+    gap = np.diff(time_s)
+    joined = gap <= 1.2 * longest_interval_s(series)
+    area = np.concatenate([[0.0], np.cumsum(np.where(joined, 0.5 * gap * (value[1:] + value[:-1]), 0.0))])
+    known = np.concatenate([[0.0], np.cumsum(np.where(joined, gap, 0.0))])
+    ends = [np.clip(grid + part * HOUR_S, time_s[0], time_s[-1]) for part in (-0.5, 0.5)]
+    area_of, known_of = (np.interp(ends[1], time_s, one) - np.interp(ends[0], time_s, one) for one in (area, known))
+    unit = unit_of(series.tag.unit)
+    whole = known_of > 0.5 * HOUR_S
+    return np.asarray(np.where(whole, unit.scale * area_of / np.where(whole, known_of, 1.0) + unit.offset, np.nan))
+
+
 def _hourly(series: Series, grid: Array) -> Array:
     unit = unit_of(series.tag.unit)
     return np.asarray(unit.scale * series.at(grid, 1.2 * longest_interval_s(series)) + unit.offset)
@@ -352,19 +391,25 @@ def _of_weather(of: Mapping[tuple[str, int | None], Series], ratings: Ratings) -
     rows = np.isfinite(part) & np.isfinite(values[0]) & np.isfinite(values[1])
     if rows.sum() < FEWEST:
         return []
+    parts = np.array_split(np.flatnonzero(rows), PARTS)
 
-    def closure(units: tuple[Unit, Unit]) -> float:
-        t_dry, t_wet = (unit.scale * value[rows] + unit.offset for unit, value in zip(units, values, strict=True))
+    def closure(units: tuple[Unit, Unit]) -> tuple[float, float]:
+        """Return the distance that most parts of the record exceed, K, and the one that most keep, as a share of the
+        dry bulb's standard deviation: a unit that shrinks the temperatures shrinks their distance as well."""
+        t_dry, t_wet = (unit.scale * value + unit.offset for unit, value in zip(units, values, strict=True))
         pressure = np.full(len(t_dry), ratings.pressure_kPa or SEA_LEVEL_KPA)
-        possible = (t_dry > -40.0) & (t_dry < 50.0)
-        if not possible.mean() > MOSTLY:
-            return float("inf")
-        return float(
-            np.median(np.abs(t_wet[possible] - wet_bulb(t_dry[possible], part[rows][possible], pressure[possible])))
-        )
+        possible = rows & (t_dry > -40.0) & (t_dry < 50.0)
+        if not possible[rows].mean() > MOSTLY:
+            return float("inf"), float("inf")
+        off = np.full(len(t_dry), np.nan)
+        off[possible] = np.abs(t_wet[possible] - wet_bulb(t_dry[possible], part[possible], pressure[possible]))
+        found = [one for one in (known_median(off[k]) for k in parts) if np.isfinite(one)]
+        exceeded, kept = (float(np.quantile(found, level)) for level in (1.0 - MOSTLY, MOSTLY))
+        return exceeded, kept / max(float(np.std(t_dry[possible])), 1e-9)
 
     own = unit_of(dry.tag.unit), unit_of(wet.tag.unit)
-    now = closure(own)
+    now, share_now = closure(own)
+    # A unit is wrong in all parts alike; in one of them an instrument's range changed.
     if now < NO_CLOSURE_K:
         return []
     others = [
@@ -375,8 +420,8 @@ def _of_weather(of: Mapping[tuple[str, int | None], Series], ratings: Ratings) -
     changes += [((wet,), name, (own[0], unit)) for name, unit in others[1].items()]
     if own[0] == own[1]:
         changes += [((dry, wet), name, (unit, unit)) for name, unit in others[0].items()]
-    left, at = min((closure(units), k) for k, (_, _, units) in enumerate(changes))
-    if left > CLOSURE_SHARE * now:
+    left, at = min((closure(units)[1], k) for k, (_, _, units) in enumerate(changes))
+    if not left < CLOSURE_SHARE * share_now:
         return []
     tags, name, _ = changes[at]
     says = f"by the humidity of {share.tag.name} the wet bulb {wet.tag.name} is {now:.2g} K off that of {dry.tag.name}"

@@ -63,6 +63,7 @@ from twin.historian import (
     Series,
     cell_minutes,
     disturbed,
+    exchanged_meters,
     in_usual_units,
     influence_of,
     order_and_silence,
@@ -122,6 +123,7 @@ def align(store: HistorianStore, station: Station, out: Path, stamps: str | None
     raw, remarks = read_series(store, station)
     remarks = [*ignored, *remarks]
     raw, strays = without_strays(raw, station.places)
+    exchanged = exchanged_meters(raw, station.ratings)
     raw, wrong = in_usual_units(raw, station.places, station.ratings)
     repaired = find_and_repair(
         raw,
@@ -142,7 +144,8 @@ def align(store: HistorianStore, station: Station, out: Path, stamps: str | None
     remarks = [*station.remarks, *remarks, *strays, *order_and_silence(raw, station.places, local), *wrong]
     del raw
     outside = out_of_range(repaired.series, station.full_speed)
-    repaired = replace(repaired, defects=tuple(sorted((*repaired.defects, *outside), key=lambda one: one.start_s)))
+    defects = sorted((*repaired.defects, *exchanged, *outside), key=lambda one: one.start_s)
+    repaired = replace(repaired, defects=tuple(defects))
     remarks += [*repaired.remarks, *_no_pressure(repaired.series, station)]
     return write_record(repaired, station, out, remarks)
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tests.twin.historian.made_station import clean_store
-from twin.historian.plausible import in_usual_units
+from twin.historian.plausible import exchanged_meters, in_usual_units
 from twin.historian.ratings import Ratings
-from twin.historian.tags import Array, Series
+from twin.historian.tags import Array, Series, Tag
 
 RATINGS = Ratings(water_flow_kg_s=180.0, pressure_kPa=95.0, fan_kW=40.0, motor_kW=45.0, cells=2)
 
@@ -72,6 +72,14 @@ def test_a_bulb_in_degc_that_is_called_degf_does_not_go_with_the_humidity(
     assert "K off that of TDB" in remarks and "degC" in remarks
 
 
+def test_a_dry_bulb_whose_zero_changed_for_most_of_the_record_is_in_no_other_unit(clean: list[Series]) -> None:
+    """All units that shrink both bulbs would bring them together; the first weeks show that the unit is right."""
+    for since in (0.2, 0.4, 0.6):
+        shifted = {"TDB": lambda v, since=since: np.where(np.arange(len(v)) > since * len(v), v + 4.0, v)}
+        left_out, remarks = judged(clean, shifted)
+        assert left_out == set() and remarks == ""
+
+
 def test_a_power_in_horsepower_is_named_and_used(clean: list[Series]) -> None:
     left_out, remarks = judged(clean, {"JI1": lambda v: v / 0.7457})
     assert left_out == set() and "JI1 is 1.3" in remarks and "give it the unit hp" in remarks
@@ -125,6 +133,43 @@ def test_the_wrong_part_of_an_exchanged_flow_meter_is_left_out(clean: list[Serie
     assert "as of a meter that was exchanged" in remark
     assert abs(len(flow.time_s) - ((whole.time_s > middle) != late).sum()) < 60
     assert np.quantile(flow.value, 0.95) == pytest.approx(np.quantile(whole.value, 0.95), rel=0.1)
+
+
+def _with_makeup(clean: list[Series], more: float) -> list[Series]:
+    """Return a station whose makeup is opened for some minutes an hour; every other two days it flows `1 + more` times
+    as much."""
+    of = {one.tag.name: one for one in clean}
+    time_s = np.arange(of["F1"].time_s[0], of["F1"].time_s[-1], 120.0)
+    heat = np.zeros(len(time_s))
+    for cell in (1, 2):
+        flow, hot, cold = (
+            np.interp(time_s, of[name].time_s, of[name].value) for name in (f"F{cell}", f"T{cell}IN", f"T{cell}OUT")
+        )
+        heat += 4.18 * 0.277 * np.maximum(flow, 0.0) * (hot - cold)
+    opens = (time_s // 120.0) % 30 < 6
+    by_turns = 1.0 + more * ((time_s // (2.0 * 86400.0)) % 2)
+    gone = np.where(opens, 5.0 * np.median(heat) / 2430.0 * by_turns, 0.0)
+    tag = Tag("FM", "kg/s", "makeup_flow", None, 120.0)
+    return [*clean, Series(tag, time_s, np.round(gone, 2), np.full(len(time_s), 192, dtype=np.int16))]
+
+
+def test_a_makeup_ten_times_off_does_not_go_with_the_heat(clean: list[Series]) -> None:
+    """Its valve opens by turns, and cells of which nothing is recorded draw more of it in some days."""
+    station = _with_makeup(clean, 1.4)
+    assert judged(station, {}) == (set(), "")
+    left_out, remarks = judged(station, {"FM": lambda v: 20.0 * v})
+    assert left_out == {"FM"} and "the evaporation which the heat of the cells asks for" in remarks
+
+
+def test_a_makeup_whose_range_changed_is_a_defect_from_then_on(clean: list[Series]) -> None:
+    station = _with_makeup(clean, 0.0)
+    middle = station[-1].time_s[0] + 4.3 * 86400.0
+    flow = station[-1]
+    flow = replace(flow, value=np.where(flow.time_s > middle, 10.0 * flow.value, flow.value))
+    assert exchanged_meters(station, RATINGS) == []
+    (found,) = exchanged_meters([*station[:-1], flow], RATINGS)
+    assert found.kind == "range_change" and found.tags == ("FM",)
+    assert abs(found.start_s - middle) < 7200.0 and found.end_s == flow.time_s[-1]
 
 
 @pytest.mark.parametrize("wrap", [1e9, 65536.0, 1000.0])
