@@ -226,6 +226,12 @@ def alternatives(text: str) -> dict[str, Unit]:
     return _others(text, UNITS)
 
 
+def tens(text: str) -> dict[str, Unit]:
+    """Return the units of a decimal place more or less than a unit, by name: `0.1 kW` and `10 kW` of `kW`."""
+    named = _named(text) is not None and text.strip() not in ("1", "0/1")
+    return {name: unit_of(name) for name in (f"{times:g} {text}" for times in (0.1, 10.0))} if named else {}
+
+
 def possible_units(text: str) -> list[dict[str, Unit]]:
     """Return the units that a tag may be in instead, by name, the likelier ones first.
 

@@ -107,22 +107,36 @@ def test_none_is_invented(seed: int) -> None:
     assert [one.says for one in found.defects] == []
 
 
-@pytest.mark.parametrize(("name", "factor"), [("F1", 10.0), ("F1", 0.1), ("JI1", 10.0), ("JP", 10.0)])
-def test_a_meter_that_reads_ten_times_as_much_is_in_no_other_unit(name: str, factor: float) -> None:
+@pytest.mark.parametrize("late", [True, False])
+@pytest.mark.parametrize(("name", "factor"), [("F1", 10.0), ("F1", 0.1), ("JI1", 10.0), ("JI1", 0.1), ("JP", 10.0)])
+def test_a_meter_that_is_a_decimal_place_off_is_converted(name: str, factor: float, late: bool) -> None:
+    """Of a fan the datasheet tells the wrong part; of a meter without a rating the readings before count as right."""
     rng = np.random.default_rng(21)
     store = clean_store(rng, 12.0)
-    late = START_S + 6.0 * DAY_S
+    middle = START_S + 6.0 * DAY_S
     spoilt = [
-        replace(one, value=np.where(one.time_s > late, factor * one.value, one.value)) if one.tag.name == name else one
+        replace(one, value=np.where((one.time_s > middle) == late, factor * one.value, one.value))
+        if one.tag.name == name
+        else one
         for one in store
     ]
-    repaired = _found(spoilt)
-    assert [one.kind for one in repaired.defects] in (["range_change"], [])
+    repaired = find_and_repair(spoilt, timezone=ZONE, full_speed="50 Hz", usual={"JI1": (0.4, 60.0)})
+    assert [(one.kind, one.tags) for one in repaired.defects] == [("unit_switch", (name,))]
     healthy, found = (next(one for one in part if one.tag.name == name) for part in (store, repaired.series))
-    early = found.time_s < late
-    np.testing.assert_allclose(
-        found.value[early], np.interp(found.time_s[early], healthy.time_s, healthy.value), atol=1e-6
-    )
+    right = 1.0 if late or name == "JI1" else factor
+    restored = right * np.interp(found.time_s, healthy.time_s, healthy.value)
+    # Hours at rest about the edge are of either scale.
+    assert np.isclose(found.value, restored, rtol=1e-6, atol=1e-6).mean() > 0.85
+
+
+@pytest.mark.parametrize("factor", [8.0, 12.0])
+def test_a_range_near_a_decimal_place_is_not_converted(factor: float) -> None:
+    store, late = clean_store(np.random.default_rng(25), 12.0), START_S + 6.0 * DAY_S
+    spoilt = [
+        replace(one, value=np.where(one.time_s > late, factor * one.value, one.value)) if one.tag.name == "JI1" else one
+        for one in store
+    ]
+    assert not [one for one in _found(spoilt).defects if one.kind == "unit_switch"]
 
 
 def test_spans_of_another_scale_begin_before_they_end() -> None:

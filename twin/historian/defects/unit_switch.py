@@ -21,7 +21,7 @@ from scipy.stats import t as student_t
 from twin.historian.defects.panel import RobustPredictor, TagPanel, design_matrix, known_median, panel
 from twin.historian.defects.unit_edges import Edge, unit_edges
 from twin.historian.tags import Array, Defect, Mask, Series
-from twin.historian.units import Unit, alternatives, full_speed_of, unit_of
+from twin.historian.units import Unit, alternatives, full_speed_of, tens, unit_of
 
 LEAST_S = 2.0 * 3600.0
 CAP = 0.75
@@ -65,6 +65,11 @@ LEAPS = 3.0
 TOGETHER_S = 3600.0
 """Time within which jumps of two tags count as one, s: stores are written by the hour."""
 VOLUME = frozenset({"L/s", "l/s", "m3/h", "m³/h", "m3/s", "L/min", "gpm"})
+DECIMAL = frozenset({"mass flow", "power", "pressure"})
+"""Dimensions whose scale may move by a decimal place: controllers hold whole numbers of such a quantity, and a table of
+registers that is read with another number of places is ten times off. No other range is (`SPANS`)."""
+DECADE = 5.0
+"""Factor from which the larger of two scales that the datasheet allows is taken."""
 SAME = 0.97
 """Share of the log odds of the most probable unit, from which another is not told from it: the more common is named."""
 STARTS, ROUNDS = 3, 3
@@ -144,7 +149,8 @@ def converted(series: Series, switch: Switch) -> Series:
 def turned(switch: Switch, series: Series, usual: tuple[float, float] | None) -> Switch:
     """Return a switch, or that of the rest of the record where the datasheet shows the span to be right.
 
-    With one edge in the record, a span in another unit and the rest in the inverse one look alike.
+    With one edge in the record, a span in another unit and the rest in the inverse one look alike. A span that the
+    record begins with is right by itself, as the readings before a change are, unless the datasheet tells otherwise.
 
     Parameters
     ----------
@@ -157,29 +163,53 @@ def turned(switch: Switch, series: Series, usual: tuple[float, float] | None) ->
     """
     own, time_s = unit_of(series.tag.unit), series.time_s
     inside = (time_s >= switch.defect.start_s) & (time_s <= switch.defect.end_s)
-    first, last = bool(inside[0]), bool(inside[-1])
-    if usual is None or own.offset != 0.0 or switch.unit.offset != 0.0 or first == last:
+    if own.offset != 0.0 or switch.unit.offset != 0.0 or not inside.any():
         return switch
-    factor = switch.unit.scale / own.scale
-    shares = []
-    for value in (np.where(inside, factor, 1.0), np.where(inside, 1.0, 1.0 / factor)):
-        reading = own.scale * value * series.value
-        work = reading[reading > AT_REST * np.quantile(reading, 0.95)]
-        shares.append(float(((work >= usual[0]) & (work <= usual[1])).mean()) if len(work) else 0.0)
+    # Of an end of the record at which the quantity was at rest, or that is shorter than any span, no unit is known.
+    least = AT_REST * float(np.quantile(series.value[inside], 0.95)) * min(switch.unit.scale / own.scale, 1.0)
+    works = series.value > least
+    first = switch.defect.start_s - time_s[0] < LEAST_S or not works[time_s < switch.defect.start_s].any()
+    last = time_s[-1] - switch.defect.end_s < LEAST_S or not works[time_s > switch.defect.end_s].any()
+    if first == last:
+        return switch
     inverse = next(
         (
             (name, unit)
-            for name, unit in alternatives(series.tag.unit).items()
+            for name, unit in (alternatives(series.tag.unit) | tens(series.tag.unit)).items()
             if np.isclose(unit.scale * switch.unit.scale, own.scale**2, rtol=1e-2)
         ),
         None,
     )
-    if inverse is None or shares[1] < MOSTLY or shares[0] > 1.0 - MOSTLY:
+    if inverse is None or not _rest_is_wrong(switch, series, inside, usual, begins=first):
         return switch
-    rest = time_s[~inside]
+    rest = time_s[time_s > switch.defect.end_s] if first else time_s[time_s < switch.defect.start_s]
     says = f"{series.tag.name} is in {inverse[0]} instead of {series.tag.unit}"
     defect = replace(switch.defect, start_s=float(rest[0]), end_s=float(rest[-1]), says=says)
     return Switch(defect, inverse[1])
+
+
+def _rest_is_wrong(
+    switch: Switch, series: Series, inside: Mask, usual: tuple[float, float] | None, *, begins: bool
+) -> bool:
+    """Return whether the rest of a record is in another unit, and not the span `inside` (n,), with which it `begins` or
+    else ends."""
+    if usual is None:
+        return begins
+    own, factor = unit_of(series.tag.unit), switch.unit.scale / unit_of(series.tag.unit).scale
+    shares, tops = [], []
+    for value in (np.where(inside, factor, 1.0), np.where(inside, 1.0, 1.0 / factor)):
+        reading = own.scale * value * series.value
+        top = float(np.quantile(reading, 0.95))
+        work = reading[reading > AT_REST * top]
+        shares.append(float(((work >= usual[0]) & (work <= usual[1])).mean()) if len(work) else 0.0)
+        tops.append(top)
+    if max(shares) >= MOSTLY and min(shares) <= 1.0 - MOSTLY:
+        return shares[1] > shares[0]
+    if max(factor, 1.0 / factor) >= DECADE:
+        # A machine does not work above what it is made for, and seldom at a tenth of it.
+        possible = [top if top <= usual[1] else 0.0 for top in tops]
+        return possible[1] > possible[0]
+    return begins and shares[1] >= shares[0]
 
 
 def _switches(table: TagPanel, edges_of: TagEdges) -> list[Switch]:
@@ -236,7 +266,8 @@ def other_units(series: Series, full_speed: str) -> dict[str, Unit]:
         elif own.dimension == speed.dimension:
             others |= {"%": Unit(own.dimension, full / 100.0), "1": Unit(own.dimension, full)}
     volume = series.tag.unit in VOLUME
-    return dict(sorted(others.items(), key=lambda item: (item[0] in VOLUME) != volume))
+    others = dict(sorted(others.items(), key=lambda item: (item[0] in VOLUME) != volume))
+    return others | (tens(series.tag.unit) if own.dimension in DECIMAL and own.offset == 0.0 else {})
 
 
 def _ways(edges: Sequence[Edge]) -> list[bool]:
