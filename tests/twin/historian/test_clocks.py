@@ -66,6 +66,29 @@ def test_two_wrong_clocks_are_both_corrected() -> None:
     assert sorted(_found(station)) == [("clock_offset", "plc"), ("local_time", "mcc")]
 
 
+@pytest.mark.parametrize("hours", [0.5, -3.5, 5.5, 9.5, -1.0])
+def test_clocks_of_zones_with_half_hours_are_corrected_by_as_much(hours: float) -> None:
+    station = _station(np.random.default_rng(15))
+    station["plc2"] = _moved(station["plc2"], hours)
+    station["met"][1] = _moved(station["met"][1:2], -hours)[0]
+    groups = [Group(tuple(one.tag.name for one in members)) for members in station.values()]
+    found = shifted_clocks([one for members in station.values() for one in members], groups, ZONE).found
+    by_tag = {name: shift.add_s / 3600.0 for defect, shift in found for name in defect.tags}
+    assert by_tag == {**{f"plc2{k}": -hours for k in range(4)}, "met1": hours}
+
+
+def test_a_tag_that_follows_the_others_by_half_an_hour_has_a_right_clock() -> None:
+    """A basin follows its cells with a time constant; its changes are smoothed and no copies of theirs."""
+    station = _station(np.random.default_rng(16))
+    keep = np.exp(-STEP_S / 1800.0)
+    for k in range(2):
+        slow = station["plc1"][k].value.copy()
+        for i in range(1, len(slow)):
+            slow[i] = keep * slow[i - 1] + (1.0 - keep) * slow[i]
+        station["plc2"][k] = replace(station["plc2"][k], value=slow)
+    assert _found(station) == []
+
+
 def test_a_single_wrong_clock_within_an_interface_is_corrected_alone() -> None:
     station = _station(np.random.default_rng(6))
     station["met"][1] = _moved(station["met"][1:2], 9.0)[0]

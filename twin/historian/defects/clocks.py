@@ -1,7 +1,9 @@
 """Tags whose time stamps are local time, or off by hours, though they are said to be UTC.
 
 The hypothesis is tested on the changes of a tag: shifted they must go better with the changes of tags of other
-interfaces than as they stand. Candidates are the station's time zone with its changes of clock, and every whole hour.
+interfaces than as they stand. Candidates are the station's time zone with its changes of clock, and every half hour.
+Water follows a fan or a load with a lag, so the changes of two tags are compared within 20 min. Two clocks half an hour
+apart then go almost equally well, and the one that does so within 10 min is chosen.
 """
 
 from __future__ import annotations
@@ -30,7 +32,12 @@ LEAST = 0.25
 LEAST_ALONE, MARGIN_ALONE = 0.5, 0.25
 """Least correlation and rise of a single tag, which no other tag of its interface confirms: a quarter of its variance
 is that of another tag, and the rise is five times the spread between chance shifts."""
-HOURS = tuple(hour for hour in range(-14, 15) if hour)
+HOURS = tuple(0.5 * half for half in range(-28, 29) if half)
+"""Differences of two clocks that are tried, h: zones differ by whole and half hours. Of the few zones with three
+quarters of one the nearest half hour is found."""
+HALF_HOUR_S = 1800.0
+LAGS, SHORT = 2, 1
+"""Steps by which the changes of two tags may be apart, and those by which two clocks half an hour apart are told."""
 
 
 @dataclass(frozen=True)
@@ -273,7 +280,8 @@ def changed_clocks(by_change: ByChange, series: Sequence[Series], timezone: str)
 
 @dataclass
 class _Correlations:
-    """Correlations (candidates, tags, tags) of each tag at each candidate clock with all tags as assumed now."""
+    """Correlations (candidates, tags, tags) of each tag at each candidate clock with all tags as assumed now: the
+    largest at lags of up to `LAGS`, and of up to `SHORT` (`close`)."""
 
     usable: Sequence[Series]
     grid: Array
@@ -281,6 +289,7 @@ class _Correlations:
     label: NDArray[np.int_]
     lively: NDArray[np.bool_]
     value: Array
+    close: Array
 
     @classmethod
     def of(
@@ -290,7 +299,8 @@ class _Correlations:
         stamped = np.stack([_changes(one, grid) for one in usable])
         # A tag that seldom changes goes with some other tag by chance.
         lively = np.count_nonzero(stamped, axis=1) >= LEAST_CHANGES
-        found = cls(usable, grid, candidates, label, lively, np.zeros((len(candidates), len(usable), len(usable))))
+        value, close = np.zeros((2, len(candidates), len(usable), len(usable)))
+        found = cls(usable, grid, candidates, label, lively, value, close)
         found._set(np.arange(len(usable)), stamped)
         return found
 
@@ -304,7 +314,7 @@ class _Correlations:
         for at, shift in enumerate(self.candidates):
             stamps = shift.to_stamp(self.grid)
             moved = np.stack([_changes(one, stamps) for one in self.usable])
-            self.value[at][:, columns] = _correlations(moved, reference)
+            self.value[at][:, columns], self.close[at][:, columns] = _correlations(moved, reference)
 
     def together(self) -> list[tuple[int, ...]]:
         """Return the sets of at most half of the tags whose groups go with one another as they stand.
@@ -326,12 +336,44 @@ class _Correlations:
     def winner(self, ks: tuple[int, ...], zones: int) -> int:
         """Return the candidate for which most of the groups' tags vote; 0 where they have no clear majority."""
         own = np.isin(self.label, ks)
-        best = self.value[:, own & self.lively][:, :, ~own].max(axis=2, initial=0.0)
-        cast = [vote for vote in (_vote(best[:, row], zones) for row in range(best.shape[1])) if vote is not None]
+        rows = np.flatnonzero(own & self.lively)
+        cast = [vote for vote in (self._vote(int(row), ~own, zones) for row in rows) if vote is not None]
         if not cast or len(cast) < LEAST_TAGS:
             return 0
         most = max(set(cast), key=cast.count)
-        return most if cast.count(most) >= max(1.0, 0.6 * len(cast)) else 0
+        alike = self.beside(most)
+        if sum(vote in alike for vote in cast) < max(1.0, 0.6 * len(cast)):
+            return 0
+        close = self.close[:, own & self.lively][:, :, ~own].max(axis=2, initial=0.0).sum(axis=1)
+        return max(alike, key=lambda candidate: float(close[candidate]))
+
+    @property
+    def near(self) -> list[int]:
+        """Candidates half an hour from the clocks as they stand."""
+        return [k for k, one in enumerate(self.candidates) if one.zone is None and abs(one.add_s) == HALF_HOUR_S]
+
+    def _vote(self, row: int, others: NDArray[np.bool_], zones: int) -> int | None:
+        """Return the candidate of a tag by its best correlation at each; None where it goes with no other tag.
+
+        Lags of 20 min hide half an hour, so that these two candidates are held against short lags.
+        """
+        best, close = (one[:, row][:, others].max(axis=1, initial=0.0) for one in (self.value, self.close))
+        vote = _vote(np.where(np.isin(np.arange(len(best)), self.near), 0.0, best), zones)
+        nearest = max(self.near, key=lambda candidate: float(close[candidate]))
+        if vote == 0 and close[nearest] >= close[0] + MARGIN:
+            return nearest
+        return vote
+
+    def beside(self, candidate: int) -> list[int]:
+        """Return a candidate and those fixed shifts that are half an hour from it; the station's zone is alone."""
+        one = self.candidates[candidate]
+        if one.zone is not None or not one.add_s:
+            return [candidate]
+        return [
+            k
+            for k, other in enumerate(self.candidates)
+            if other.zone is None and other.add_s and abs(other.add_s - one.add_s) <= HALF_HOUR_S
+        ]
 
     def assume_alone(self, row: int, clock: int) -> None:
         """Take a candidate clock as that of one tag from now on."""
@@ -342,8 +384,12 @@ class _Correlations:
         """Return the candidate at which a tag goes clearly better with another one; 0 where there is none."""
         others = np.arange(len(self.usable)) != row
         best = self.value[:, row][:, others].max(axis=1, initial=0.0)
-        vote = _vote(best, zones)
-        return vote if vote and best[vote] >= max(LEAST_ALONE, best[0] + MARGIN_ALONE) else 0
+        vote = self._vote(row, others, zones)
+        close = self.close[:, row][:, others].max(axis=1, initial=0.0)
+        of_lags = close if vote in self.near else best
+        if not vote or of_lags[vote] < max(LEAST_ALONE, of_lags[0] + MARGIN_ALONE):
+            return 0
+        return max(self.beside(vote), key=lambda candidate: float(close[candidate]))
 
     def partner(self, row: int) -> int:
         """Return the tag with which a tag goes best at any clock but its own."""
@@ -360,11 +406,12 @@ class _Correlations:
         """Return by how much a clock of groups raises their tags' correlations with the other groups, in sum.
 
         The best tag of each other group counts, so that going with one group at the expense of the others is no rise.
+        Lags up to `SHORT` count: half an hour at their expense would else be none.
         """
         rows = np.isin(self.label, ks) & self.lively
         rise = 0.0
         for other in set(self.label) - set(ks):
-            best = self.value[[clock, 0]][:, rows][:, :, self.label == other].max(axis=2)
+            best = self.close[[clock, 0]][:, rows][:, :, self.label == other].max(axis=2)
             rise += float((best[0] - best[1]).sum())
         return rise
 
@@ -396,11 +443,15 @@ def _changes(series: Series, stamps: Array) -> Array:
     return np.asarray(change / scale if scale > 0.0 else change)
 
 
-def _correlations(moved: Array, reference: Array) -> Array:
-    """Return the largest absolute correlation at lags of up to 20 minutes either way, tags by tags."""
+def _correlations(moved: Array, reference: Array) -> tuple[Array, Array]:
+    """Return the largest absolute correlations at lags of up to `LAGS` and of up to `SHORT` either way, tags by
+    tags."""
     m = reference.shape[1]
-    best = np.zeros((len(moved), len(reference)))
-    for lag in (-2, -1, 0, 1, 2):
+    best, close = np.zeros((2, len(moved), len(reference)))
+    for lag in range(-LAGS, LAGS + 1):
         x, y = (moved[:, lag:], reference[:, : m - lag]) if lag >= 0 else (moved[:, :lag], reference[:, -lag:])
-        best = np.maximum(best, np.abs(x @ y.T) / m)
-    return best
+        found = np.abs(x @ y.T) / m
+        best = np.maximum(best, found)
+        if abs(lag) <= SHORT:
+            close = np.maximum(close, found)
+    return best, close
