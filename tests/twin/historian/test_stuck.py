@@ -110,6 +110,24 @@ def test_a_flow_at_zero_while_its_cell_works_is_stuck_and_a_cell_at_rest_is_none
     assert found.start_s == pytest.approx(at, abs=600.0) and found.end_s == pytest.approx(at + 6 * 3600.0, abs=900.0)
 
 
+@pytest.mark.parametrize("begins", [True, False])
+def test_a_flow_that_sticks_at_zero_from_or_until_a_rest_of_its_cell_is_stuck(moving: Array, begins: bool) -> None:
+    n = np.arange(4800)
+    rest, late = (n > 2000) & (n < 2300), (n >= 2300) & (n < 2420)
+    if not begins:
+        late = (n > 1880) & (n <= 2000)
+    warm = _series("water_inlet_temperature", "degC", moving)
+    cold = replace(warm, value=np.where(rest, moving, moving - 6.0))
+    cold = replace(cold, tag=replace(cold.tag, role="water_outlet_temperature"))
+    fan = _series("fan_speed", "%", np.where(rest, 0.0, 60.0 + moving))
+    flow = _series("water_flow", "m3/h", np.where(rest, 0.0, 300.0 + moving))
+    assert _stuck(flow, warm, cold, fan) == []
+    stuck = replace(flow, value=np.where(late, 0.0, flow.value))
+    (found,) = stuck_values(stuck, (stuck, warm, cold, fan))
+    at = flow.time_s[late]
+    assert found.start_s == pytest.approx(at[0], abs=1200.0) and found.end_s == pytest.approx(at[-1], abs=1200.0)
+
+
 def test_a_fan_that_often_turns_without_a_flow_is_a_habit(moving: Array) -> None:
     """As it dries the cell, or where the meter is in a line of its own."""
     rest = (np.arange(4800) % 1200) > 900

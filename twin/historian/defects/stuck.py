@@ -171,6 +171,8 @@ def _zero_at_work(series: Series, others: Sequence[Series]) -> list[Defect]:
     """Return the spans in which a flow is at rest while its cell's fan turns and the water cools as it usually does.
 
     A cell at rest has no flow, and its fan stands. Where the fan often turns without a flow, that is the cell's habit.
+    A meter that sticks while its cell rests reads zero on after the start, and one that sticks at zero may do so until
+    the cell rests: then the part of the span in which its fan turns counts.
     """
     spin = _of_cell(series, others, "fan_speed") or _of_cell(series, others, "fan_power")
     inlet, outlet = (_of_cell(series, others, f"water_{end}_temperature") for end in ("inlet", "outlet"))
@@ -190,6 +192,13 @@ def _zero_at_work(series: Series, others: Sequence[Series]) -> list[Defect]:
     work = series.time_s[~rest]
     usual = float(np.median(level(inlet, work) - level(outlet, work))) if len(work) else 0.0
     grids = [np.linspace(*span, 101) for span in spans]
+    # Of a span that begins or ends with a rest, the part at work.
+    parts = [_at_one_end(grid, level(fan, grid) > 0.5) for grid in grids]
+    long_parts = [part is not None and part[1] - part[0] >= LEAST_S for part in parts]
+    spans = [
+        part if use and part is not None else span for span, part, use in zip(spans, parts, long_parts, strict=True)
+    ]
+    grids = [np.linspace(*span, 101) for span in spans]
     turned = [float(level(fan, grid).mean()) for grid in grids]
     cooled = [float(np.median(level(inlet, grid) - level(outlet, grid))) for grid in grids]
     wrong = [t >= WORKS and c >= COOLS * usual > 0.0 for t, c in zip(turned, cooled, strict=True)]
@@ -208,6 +217,15 @@ def _zero_at_work(series: Series, others: Sequence[Series]) -> list[Defect]:
         for span, bad in zip(spans, wrong, strict=True)
         if bad
     ]
+
+
+def _at_one_end(grid_s: Array, turns: NDArray[np.bool_]) -> tuple[float, float] | None:
+    """Return the part of a span at whose times (n,) a fan turns if that is one end of it, None otherwise."""
+    change = np.flatnonzero(np.diff(turns.astype(np.int8)))
+    if len(change) != 1:
+        return None
+    at = int(change[0])
+    return (float(grid_s[0]), float(grid_s[at])) if turns[0] else (float(grid_s[at + 1]), float(grid_s[-1]))
 
 
 def _of_cell(series: Series, others: Sequence[Series], role: str) -> Series | None:
