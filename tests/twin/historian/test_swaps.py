@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from twin.historian.defects.panel import STEP_S, TagPanel
 from twin.historian.defects.swaps import _Span, swapped
@@ -87,6 +88,23 @@ def test_an_edge_does_not_move_over_days_of_right_values() -> None:
     panel.values[0, low - 8 * DAY : low] += 0.3  # a bias that ends where the swap begins
     (found,) = swapped(_series(panel), [_entry(panel, low)])
     assert abs(found.start_s - panel.grid_s[low]) < 6 * 3600.0 and abs(found.end_s - panel.grid_s[high]) < 6 * 3600.0
+
+
+@pytest.mark.parametrize(("standing_C", "after"), [(14.0, DAY // 2), (40.0, 2 * DAY)])
+def test_standing_water_within_a_swap_moves_no_edge(standing_C: float, after: int) -> None:
+    """Nothing predicts what a thermometer reads there, so that it is no evidence for either order."""
+    for seed in (6, 7):
+        panel = _panel(np.random.default_rng(seed), 45, 0.0)
+        low, high = 17 * DAY, 25 * DAY
+        stop = slice(low + after, low + after + DAY + DAY // 2)
+        panel.values[0, stop] = standing_C
+        panel.values[:2, low:high] = panel.values[1::-1, low:high].copy()
+        on = np.ones(panel.values.shape[1])
+        on[stop] = 0.0
+        state = replace(panel.series[2], tag=Tag("ON1", "0/1", "cell_in_service", 1, 120.0), value=on)
+        (found,) = swapped([*_series(panel), state], [_entry(panel, low)])
+        edges = (found.start_s - panel.grid_s[low], found.end_s - panel.grid_s[high])
+        assert max(abs(edge) for edge in edges) < 6 * 3600.0
 
 
 def test_a_single_faulty_thermometer_is_no_swap() -> None:

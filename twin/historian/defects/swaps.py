@@ -25,6 +25,7 @@ from twin.historian.defects.panel import (
     largest_sum,
     moving_mean,
     panel,
+    stands,
 )
 from twin.historian.events import Event, naming
 from twin.historian.tags import Array, Defect, Mask, Series
@@ -161,7 +162,7 @@ def _pair(table: TagPanel, j: int, k: int, events: Sequence[Event]) -> list[_Hit
     if BASIN in (first.role, second.role):
         values = np.concatenate([values, basin_inflows(table, (j, k))])
     predict = RobustPredictor(design_matrix(values))
-    difference = table.values[j] - table.values[k]
+    difference = _in_water(table, j) - _in_water(table, k)
     if np.isfinite(difference).sum() < 200:
         return []
     found: list[_Hit] = []
@@ -177,6 +178,13 @@ def _pair(table: TagPanel, j: int, k: int, events: Sequence[Event]) -> list[_Hit
     return found
 
 
+def _in_water(table: TagPanel, k: int) -> Array:
+    """Return the values of a tag (m,), NaN where its cell stands: no other tag follows a thermometer in standing water,
+    which is no evidence of an exchange and shows no edge of one."""
+    one = table.series[k]
+    return np.where(stands(one, table.series, table.grid_s), np.nan, table.values[k])
+
+
 def _judged(
     table: TagPanel, pair: tuple[int, int], sign: Array, predict: RobustPredictor, events: Sequence[Event]
 ) -> _Hit | None:
@@ -186,7 +194,8 @@ def _judged(
     another by more than they differ; alone they need a maintenance entry.
     """
     tags = table.series[pair[0]].tag.name, table.series[pair[1]].tag.name
-    now, other = (np.where(sign > 0.0, table.values[k], table.values[m]) for k, m in (pair, pair[::-1]))
+    values = [_in_water(table, k) for k in pair]
+    now, other = (np.where(sign > 0.0, one, two) for one, two in (values, values[::-1]))
     difference = now - other
     for daily in (False, True):
         span = _span(difference, predict, daily=daily)
