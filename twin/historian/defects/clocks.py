@@ -35,6 +35,8 @@ is that of another tag, and the rise is five times the spread between chance shi
 HOURS = tuple(0.5 * half for half in range(-28, 29) if half)
 """Differences of two clocks that are tried, h: zones differ by whole and half hours. Of the few zones with three
 quarters of one the nearest half hour is found."""
+MOST_VOTES = 0.6
+"""Share of the votes of an interface's tags that its clock must have."""
 HALF_HOUR_S = 1800.0
 LAGS, SHORT = 2, 1
 """Steps by which the changes of two tags may be apart, and those by which two clocks half an hour apart are told."""
@@ -337,12 +339,16 @@ class _Correlations:
         """Return the candidate for which most of the groups' tags vote; 0 where they have no clear majority."""
         own = np.isin(self.label, ks)
         rows = np.flatnonzero(own & self.lively)
-        cast = [vote for vote in (self._vote(int(row), ~own, zones) for row in rows) if vote is not None]
+        cast = [(vote, row) for row in rows.tolist() if (vote := self._vote(row, ~own, zones)) is not None]
         if not cast or len(cast) < LEAST_TAGS:
             return 0
-        most = max(set(cast), key=cast.count)
+        # A vote counts as the share of the tag's variance that its best partner has: of many clocks one goes by chance.
+        weight = np.zeros(len(self.candidates))
+        for vote, row in cast:
+            weight[vote] += float(self.value[vote, row][~own].max()) ** 2
+        most = int(np.argmax(weight))
         alike = self.beside(most)
-        if sum(vote in alike for vote in cast) < max(1.0, 0.6 * len(cast)):
+        if weight[alike].sum() < MOST_VOTES * weight.sum():
             return 0
         close = self.close[:, own & self.lively][:, :, ~own].max(axis=2, initial=0.0).sum(axis=1)
         return max(alike, key=lambda candidate: float(close[candidate]))
@@ -406,12 +412,12 @@ class _Correlations:
         """Return by how much a clock of groups raises their tags' correlations with the other groups, in sum.
 
         The best tag of each other group counts, so that going with one group at the expense of the others is no rise.
-        Lags up to `SHORT` count: half an hour at their expense would else be none.
+        Of half an hour lags up to `SHORT` count, as longer ones hide it.
         """
         rows = np.isin(self.label, ks) & self.lively
-        rise = 0.0
+        rise, of_lags = 0.0, self.close if clock in self.near else self.value
         for other in set(self.label) - set(ks):
-            best = self.close[[clock, 0]][:, rows][:, :, self.label == other].max(axis=2)
+            best = of_lags[[clock, 0]][:, rows][:, :, self.label == other].max(axis=2)
             rise += float((best[0] - best[1]).sum())
         return rise
 
