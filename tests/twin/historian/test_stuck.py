@@ -124,6 +124,10 @@ def test_a_flow_that_sticks_at_zero_from_or_until_a_rest_of_its_cell_is_stuck(mo
     assert _stuck(flow, warm, cold, fan) == []
     stuck = replace(flow, value=np.where(late, 0.0, flow.value))
     (found,) = stuck_values(stuck, (stuck, warm, cold, fan))
+    silent = fan.rows(~((n >= 1990) & (n < 2150)))
+    still_cold = replace(cold, value=moving - 6.0)
+    # The fan turned when its interface fell silent, and stood after it.
+    assert _stuck(flow, warm, still_cold, silent) == []
     at = flow.time_s[late]
     assert found.start_s == pytest.approx(at[0], abs=1200.0) and found.end_s == pytest.approx(at[-1], abs=1200.0)
 

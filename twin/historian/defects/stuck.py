@@ -189,17 +189,22 @@ def _zero_at_work(series: Series, others: Sequence[Series]) -> list[Defect]:
 
     turning = np.abs(spin.value) > SPUN * float(np.quantile(np.abs(spin.value), 0.98))
     fan = replace(spin, value=turning.astype(np.float64))
+
+    def turns(at: Array) -> Array:
+        """Return 1 where the fan turns; what it did in a silence of its interface is not known, and counts for none."""
+        return np.nan_to_num(fan.at(at, 1.2 * longest_interval_s(fan)))
+
     work = series.time_s[~rest]
     usual = float(np.median(level(inlet, work) - level(outlet, work))) if len(work) else 0.0
     grids = [np.linspace(*span, 101) for span in spans]
     # Of a span that begins or ends with a rest, the part at work.
-    parts = [_at_one_end(grid, level(fan, grid) > 0.5) for grid in grids]
+    parts = [_at_one_end(grid, turns(grid) > 0.5) for grid in grids]
     long_parts = [part is not None and part[1] - part[0] >= LEAST_S for part in parts]
     spans = [
         part if use and part is not None else span for span, part, use in zip(spans, parts, long_parts, strict=True)
     ]
     grids = [np.linspace(*span, 101) for span in spans]
-    turned = [float(level(fan, grid).mean()) for grid in grids]
+    turned = [float(turns(grid).mean()) for grid in grids]
     cooled = [float(np.median(level(inlet, grid) - level(outlet, grid))) for grid in grids]
     wrong = [t >= WORKS and c >= COOLS * usual > 0.0 for t, c in zip(turned, cooled, strict=True)]
     if sum(t >= 0.5 for t, bad in zip(turned, wrong, strict=True) if not bad) >= REST_RUNS or sum(wrong) > MOST:
