@@ -6,7 +6,7 @@ import pytest
 
 from tests.discovery.conftest import Bench
 from twin.discovery import diagnose
-from twin.discovery.healthy.basis import Columns
+from twin.discovery.healthy.basis import Columns, CommissionedRecord
 from twin.revisions import with_elements
 from twin.twinfile import dump, parse
 
@@ -21,6 +21,7 @@ def test_a_limit_is_found_with_its_level(brisk: Bench, brisk_healthy: Columns, c
         },
     )
     found = diagnose(brisk.network, brisk.record(12.0, changed=limited, onset_h=3.0), brisk_healthy)
+    assert found.verdict == "effect found"
     (first,) = found.effects
     what = column.rsplit("_", 1)[0]
     assert (first.kind, first.where, first.driver) == ("actuator", what, what) and first.value == pytest.approx(
@@ -29,4 +30,21 @@ def test_a_limit_is_found_with_its_level(brisk: Bench, brisk_healthy: Columns, c
     assert found.network is not None
     values = parse(dump(found.network)).parameters
     share, offset = (values[f"limit_of_{column}.{name}"].value for name in ("share", "offset"))
-    assert offset / share == pytest.approx(level, rel=0.1)
+    assert offset / share == pytest.approx(level, rel=0.02)
+
+
+def test_a_twin_that_has_taken_up_a_limit_is_diagnosed_again(brisk: Bench, brisk_healthy: Columns) -> None:
+    column = "heater_power_W"
+    own = with_elements(
+        brisk.network,
+        {
+            f"actuator_of_{column}": {"kind": "actuator", "column": column},
+            f"limit_of_{column}": {"kind": "limiter", "column": column, "share": 1.0, "offset": 730.0},
+        },
+    )
+    good = brisk_healthy
+    before = CommissionedRecord(good.time_s, good.inputs, good.measured, before=(brisk.network,))
+    assert diagnose(own, brisk.of(own).record(12.0), before).verdict == "adequate"
+    (gone,) = diagnose(own, brisk.record(12.0), before).effects
+    assert (gone.kind, gone.where, gone.change) == ("actuator", "heater_power", "existing")
+    assert gone.value == pytest.approx(-1.0, abs=0.05)

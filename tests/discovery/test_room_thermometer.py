@@ -9,8 +9,9 @@ import pytest
 
 from tests.discovery.conftest import HOUR, Bench
 from twin.discovery import diagnose
-from twin.discovery.healthy.basis import Columns
+from twin.discovery.healthy.basis import Columns, CommissionedRecord
 from twin.network import Array
+from twin.revisions import with_elements
 from twin.twinfile import dump, parse
 
 
@@ -40,3 +41,15 @@ def test_a_room_thermometer_in_the_exhaust_follows_the_heater(brisk: Bench, bris
     assert found.network is not None
     again = parse(dump(found.network))
     assert {"law_input", "actuator"} <= {e.kind for e in again.elements}
+
+
+def test_a_twin_that_has_taken_up_an_error_of_the_room_is_diagnosed_again(brisk: Bench, brisk_healthy: Columns) -> None:
+    own = with_elements(
+        brisk.network, {"actuator_of_T_ambient_C": {"kind": "actuator", "column": "T_ambient_C", "offset": -2.0}}
+    )
+    good = brisk_healthy
+    before = CommissionedRecord(good.time_s, good.inputs, good.measured, before=(brisk.network,))
+    record = brisk.record(12.0)
+    assert diagnose(own, read_wrong(brisk, record, np.full(len(record.time_s), 2.0)), before).verdict == "adequate"
+    (more,) = diagnose(own, read_wrong(brisk, record, np.full(len(record.time_s), 3.0)), before).effects
+    assert (more.kind, more.where) == ("sensor", "T_ambient_C") and more.value == pytest.approx(1.0, abs=0.1)

@@ -11,7 +11,7 @@ limit, a fan or pump at the top of its converter.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from twin.elements.base import STAMP, Element, Names, ParameterSpec, place
@@ -53,6 +53,15 @@ class Limiter(Element):
             found.append(_limit(column, name, adds, 0.5 * full))
         return tuple(found)
 
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
+        share, offset = (sites.values[f"{self.name}.{key}"] for key in ("share", "offset"))
+        if not share > 0.0:
+            return ()
+        limit = _limit(self.column, self.name, {}, offset / share)
+        says = f"{limit.says}, more than when commissioned"
+        changed = replace(limit, change="existing", says=says, near=None, at_level=None)
+        return (replace(changed, lower=-share, upper=1.0 - share),)
+
     def changes(self) -> str:
         return input_target(self.column)
 
@@ -68,6 +77,7 @@ class Limiter(Element):
 def _limit(column: str, name: str, adds: dict[str, dict[str, str]], level: float) -> Candidate:
     """Return the limit of a command at a level; the one of the catalogue stands for all levels."""
     what, unit = column.rsplit("_", 1)
+    shown = f"{level:.0f}" if level >= 100.0 else f"{level:.3g}"
     return Candidate(
         "actuator",
         what,
@@ -78,7 +88,7 @@ def _limit(column: str, name: str, adds: dict[str, dict[str, str]], level: float
         0.2,
         0.0,
         1.0,
-        f"fails to deliver {{share}} of its command beyond {level:.3g} {'%' if unit == 'pct' else unit}",
+        f"fails to deliver {{share}} of its command beyond {shown} {'%' if unit == 'pct' else unit}",
         adds=adds,
         shapes=("step",),
         near=lambda: tuple(_limit(column, name, adds, level * (1.0 + side * d)) for d in APART for side in (-1.0, 1.0)),

@@ -142,7 +142,7 @@ class Book:
         known, base = self._at(grid, run)
         found = []
         for candidate in self.candidates if only is None else map(self._as_told, only):
-            if candidate.kind == "sensor" and all(t["kind"] == "law_reading" for t in candidate.adds.values()):
+            if _is_of_reading(network, candidate):
                 law = CandidateLaw(candidate, None, _reading(network, candidate, grid, run))
             elif candidate.begins:
                 law = CandidateLaw(candidate, _put_in(network, candidate, grid, known), None)
@@ -207,6 +207,13 @@ def _reading(network: Network, candidate: Candidate, grid: Grid, run: FreeRun) -
     if candidate.adds and not _has_been_there(out):
         out[:] = 0.0
     return out
+
+
+def _is_of_reading(network: Network, candidate: Candidate) -> bool:
+    """Return True for an error of sensors alone; that of an input's thermometer acts wherever the input does."""
+    reading = {e.name for e in network.elements if isinstance(e, LawReading)} | set(network.sensor_names)
+    reading |= {name for name, table in candidate.adds.items() if table["kind"] == "law_reading"}
+    return candidate.kind == "sensor" and {name.split(".")[0] for name in candidate.changes} <= reading
 
 
 def _read_by_law(network: Network, candidate: Candidate, element: str) -> tuple[str, str]:

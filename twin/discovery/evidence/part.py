@@ -177,12 +177,22 @@ def _at_levels(candidate: Candidate, known: Basis, grid: Grid, run: FreeRun) -> 
     if candidate.at_level is None:
         return []
     if candidate.is_limit:
-        column = next(str(table["column"]) for table in candidate.adds.values())
-        values = grid.inputs[:, known.probe.network.input_columns.index(column)]
-        low, high = float(values.min()), float(values.max())
+        low, high = _range_of_limited(known, grid, candidate)
         return [candidate.at_level(low + share * (high - low)) for share in LIMITED] if high > low else []
     stuck = _stuck_at(candidate, known, grid, run)
     return [] if stuck is None else [stuck]
+
+
+def _range_of_limited(known: Basis, grid: Grid, candidate: Candidate) -> tuple[float, float]:
+    """Return the least and the largest command of a limited actuator."""
+    column = next(str(table["column"]) for table in candidate.adds.values())
+    values = grid.inputs[:, known.probe.network.input_columns.index(column)]
+    return float(values.min()), float(values.max())
+
+
+def _limited_to(candidate: Candidate) -> float:
+    """Return the level of a limit."""
+    return next(weight for name, weight in candidate.changes.items() if name.endswith(".offset"))
 
 
 def _stuck_at(candidate: Candidate, known: Basis, grid: Grid, run: FreeRun) -> Candidate | None:
@@ -294,6 +304,20 @@ def slower(part: Part, entry: Entry, factor: float) -> Entry | None:
         return None
     shape = replace(entry.shape, growth_s=laws[0].candidate.slow_s) if c.begins else entry.shape
     return replace(entry, law=laws[0], shape=shape, size=entry.size / factor).refreshed(part.score_test)
+
+
+def at_level(part: Part, entry: Entry, factor: float) -> Entry | None:
+    """Return a limit at another level, with the same power missing at the highest command; None without influence."""
+    c = entry.candidate
+    assert c.at_level is not None
+    made = c.at_level(factor * _limited_to(c))
+    low, high = _range_of_limited(part.basis, part.grid, c)
+    # Below all commands it would be a gain, and above them nothing.
+    laws = part.basis.book.laws(part.grid, part.run, (made,)) if low < _limited_to(made) < high else []
+    if not laws:
+        return None
+    size = entry.size * (high - _limited_to(c)) / (high - _limited_to(made))
+    return replace(entry, law=laws[0], size=min(size, c.upper)).refreshed(part.score_test)
 
 
 def plainly(part: Part, found: Fit) -> Fit:

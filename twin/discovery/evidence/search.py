@@ -15,7 +15,7 @@ from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import TIMED
 from twin.discovery.evidence.hypotheses import Class, Found, Hypothesis, Place, Prior, apart, class_of, place
 from twin.discovery.evidence.marginal import form_quadratic, joint, log_widths, widths
-from twin.discovery.evidence.part import Part, continued, fitted, gains, slower
+from twin.discovery.evidence.part import Part, at_level, continued, fitted, gains, slower
 from twin.discovery.evidence.priors import CLAIM, FAULT, UNLISTED
 from twin.discovery.evidence.scan import STEADY, logsumexp, refined, scan
 from twin.discovery.places.localise import WALK_PER_BLOCK
@@ -42,6 +42,8 @@ MOST_LATE = 4
 SLOWER = (1.7, 1.3, 1.1)
 """Ratios of time constants that are tried in turn around the likeliest of the catalogue's, which are a factor of 3
 apart; the first is repeated while it gains."""
+NEARER = (0.04, 0.02, 0.01, 0.005, 0.0025)
+"""Shares of its level by which that of a limit is moved in turn; each is repeated while it gains."""
 BEGUN = 3
 """Rounds of a fit after which its squares are comparable."""
 
@@ -71,6 +73,9 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None, given: Seq
         say(f"fitting {min(len(level), FITTED)} hypotheses of {count} effect{'s' if count > 1 else ''}")
         found = _fitted(part, found, level, misfit)
         if _explained(found, score_test):
+            # Many levels of a limit leave no more than noise, each with another share.
+            limited = any(e.candidate.is_limit for e in found[0].entries)
+            found = _retimed(part, found, prior, misfit) if limited else found
             break
         if count == 1:
             found = late_ones(part, found, prior, misfit)
@@ -273,8 +278,8 @@ def late_ones(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) 
 
 
 def _retimed(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:
-    """Return the hypotheses with slow or periodic effects of different claims fitted with other time constants and
-    onsets.
+    """Return the hypotheses with slow, limited or periodic effects of different claims fitted at other time constants,
+    levels and onsets.
     """
     near = _near(found)
     slow = [h for h in found if h.fit is not None and h.odds > near and any(map(_is_retimed, h.entries))]
@@ -288,11 +293,11 @@ def _retimed(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -
 
 
 def _is_retimed(entry: Entry) -> bool:
-    return entry.candidate.slower is not None or entry.shape.name == "periodic"
+    return entry.candidate.slower is not None or entry.candidate.is_limit or entry.shape.name == "periodic"
 
 
 def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -> list[Hypothesis]:
-    """Return fits of a hypothesis with other time constants and onsets of its slow or periodic effects."""
+    """Return fits of a hypothesis at other time constants, levels and onsets of its effects."""
     tried: list[Hypothesis] = []
 
     def fit_each(i: int, entries: list[Entry]) -> None:
@@ -312,6 +317,12 @@ def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -
             fit_each(i, [other])
             if best is before:
                 break
+        for share in NEARER if entry.candidate.is_limit else ():
+            while True:
+                before = best
+                fit_each(i, [o for f in (1.0 + share, 1.0 - share) if (o := at_level(part, best.entries[i], f))])
+                if best is before:
+                    break
         if entry.candidate.slower is None:
             continue
         for share in SLOWER:

@@ -13,7 +13,7 @@ have precision V' P V and score V' P r; P is the projection onto the complement 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -91,8 +91,11 @@ class HealthyResidual:
         # A law that a revision has adopted has the name that it had as an addition, and is a change of an element that
         # the twin of this record lacks.
         own = {c.id: c for c in self.book.candidates}
-        here = tuple(c for c in candidates if c.id in own and own[c.id].change == c.change)
-        return self.amplitudes_of(self.book.laws(self.grid, self.run, here), tunables)
+        here = {c.id: c for c in candidates if c.id in own and own[c.id].change == c.change}
+        # What a law adds may have been adopted with another one, as the actuator of a limit: the twin of this record
+        # still lacks it.
+        laws = self.book.laws(self.grid, self.run, tuple(own[name] for name in here))
+        return self.amplitudes_of([replace(law, candidate=here[law.candidate.id]) for law in laws], tunables)
 
     def amplitudes_of(self, laws: Sequence[CandidateLaw], tunables: tuple[str, ...]) -> Amplitudes:
         """Return the amplitudes of laws on this record; `tunables` as of `amplitudes`."""
