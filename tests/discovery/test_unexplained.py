@@ -110,7 +110,7 @@ def odd_record(bench: Bench) -> Columns:
         f"{name}_{k + 1}": {"value": v} for k, pair in enumerate(numbers) for name, v in zip("xq", pair, strict=True)
     }
     odd = {"kind": "empirical_heat", "node": "tank", "driver": "fan_speed_pct", **knots}
-    return bench.record(14.0, seed=2, changed=bench.with_element("odd", odd))
+    return bench.record(20.0, seed=2, changed=bench.with_element("odd", odd))
 
 
 @pytest.fixture(scope="module")

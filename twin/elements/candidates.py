@@ -188,11 +188,13 @@ def free_name(stem: str, elements: Iterable[Element]) -> str:
 def with_free_names(candidate: Candidate, elements: tuple[Element, ...]) -> Candidate:
     """Return a candidate, and those that it makes, whose added elements have names that no element of a twin has."""
     names = {name: free_name(name, elements) for name in candidate.adds}
-    near, slower = candidate.near, candidate.slower
+    near, slower, at_level = candidate.near, candidate.slower, candidate.at_level
     if near is not None:
         candidate = replace(candidate, near=partial(_free_near, near, elements))
     if slower is not None:
-        candidate = replace(candidate, slower=partial(_free_slower, slower, elements))
+        candidate = replace(candidate, slower=partial(_with_free_names, slower, elements))
+    if at_level is not None:
+        candidate = replace(candidate, at_level=partial(_with_free_names, at_level, elements))
     if all(name == free for name, free in names.items()):
         return candidate
     changes = {}
@@ -206,8 +208,8 @@ def _free_near(near: Callable[[], tuple[Candidate, ...]], elements: tuple[Elemen
     return tuple(with_free_names(one, elements) for one in near())
 
 
-def _free_slower(slower: Callable[[float], Candidate], elements: tuple[Element, ...], slow_s: float) -> Candidate:
-    return with_free_names(slower(slow_s), elements)
+def _with_free_names(make: Callable[[float], Candidate], elements: tuple[Element, ...], value: float) -> Candidate:
+    return with_free_names(make(value), elements)
 
 
 def input_target(column: str) -> str:
