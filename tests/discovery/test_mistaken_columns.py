@@ -63,6 +63,17 @@ def test_a_logger_that_is_set_to_another_unit_for_a_time_is_asked_about(brisk: B
     assert asked.startswith("from 10 min to 30 min, T_tank_C looks like degrees Fahrenheit")
 
 
+def test_readings_without_a_partner_do_not_make_an_exchange_longer(brisk: Bench, record: Columns) -> None:
+    """Two short exchanges, and between them an error of one thermometer while the other one is dead."""
+    heater, tank = (brisk.network.sensor_names.index(name) for name in ("T_heater_C", "T_tank_C"))
+    measured = record.measured.copy()
+    for rows in (slice(100, 150), slice(400, 450)):
+        measured[rows, heater], measured[rows, tank] = record.measured[rows, tank], record.measured[rows, heater]
+    measured[150:400, tank] = np.nan
+    measured[150:400, heater] += 4.0
+    assert not column_mistakes(brisk.network, replace(record, measured=measured))
+
+
 def test_effects_of_a_rig_are_no_mistakes_of_its_file(brisk: Bench, brisk_healthy: Columns, record: Columns) -> None:
     assert not column_mistakes(brisk.network, record, brisk_healthy)
     heated = brisk.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 300.0})

@@ -90,6 +90,14 @@ def test_a_law_that_cannot_be_adopted_is_refused(twin: Network, site, driver, fo
         adopt_law(twin, {**site, **driver, "form": form}, {})
 
 
+def test_an_error_of_the_rooms_thermometer_has_an_equation(twin: Network) -> None:
+    site = {"kind": "law_input", "column": "T_ambient_C", "driver": "fan_speed_pct", "form": "linear"}
+    new = adopt_law(twin, site, {"gain": 0.02}, name="found")
+    said = "error of the thermometer of T_ambient_C, in proportion to fan_speed_pct"
+    assert str(law_equations(new)["found"]) == f"{said}: d(T_ambient_C) = 0.02 K/% * fan_speed_pct"
+    assert [e.kind for e in new.elements].count("actuator") == 1
+
+
 @pytest.mark.parametrize(
     ("site", "driver", "form", "course", "parameters", "equation"),
     [

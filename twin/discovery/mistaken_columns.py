@@ -96,14 +96,17 @@ def _for_a_time(probe: Probe, record: Columns, usual: Array) -> tuple[str, ...]:
         with np.errstate(invalid="ignore"):
             before = ((grid.measured - run)[:, changed] / usual[changed]) ** 2
             after = ((undone.record.measured - run)[:, changed] / usual[changed]) ** 2
-        sums = np.concatenate([[0.0], np.nancumsum((before - after).sum(axis=1))])
+        # A reading that has no other to be exchanged with tells nothing.
+        before, after = np.where(np.isfinite(after), before, np.nan), np.where(np.isfinite(before), after, np.nan)
+        sums = np.concatenate([[0.0], np.cumsum(np.nansum(before - after, axis=1))])
         begins = np.minimum.accumulate(sums)
         last = int(np.argmax(sums - begins))
         first = int(np.argmin(sums[: last + 1]))
         rows = slice(first, last)
         was, left = float(np.nansum(before[rows])), float(np.nansum(after[rows]))
         far = was > FAR_OFF**2 * np.isfinite(before[rows]).sum()
-        if last - first >= least_rows and far and left < UNDONE * was and was - left > best:
+        long = np.isfinite(before[rows]).any(axis=1).sum() >= least_rows
+        if long and far and left < UNDONE * was and was - left > best:
             best = was - left
             errors = [np.sqrt(np.nanmean(squares, axis=0)) * usual[changed] for squares in (after[rows], before[rows])]
             worst = int(np.nanargmax(errors[1]))

@@ -58,7 +58,7 @@ class Limiter(Element):
         if not share > 0.0:
             return ()
         limit = _limit(self.column, self.name, {}, offset / share)
-        says = f"{limit.says}, more than when commissioned"
+        says = limit.says.replace("{share}", "{share} more") + " than when commissioned"
         changed = replace(limit, change="existing", says=says, near=None, at_level=None)
         return (replace(changed, lower=-share, upper=1.0 - share),)
 
@@ -88,7 +88,7 @@ def _limit(column: str, name: str, adds: dict[str, dict[str, str]], level: float
         0.2,
         0.0,
         1.0,
-        f"fails to deliver {{share}} of its command beyond {shown} {'%' if unit == 'pct' else unit}",
+        f"misses {{share}} of its command above {shown} {'%' if unit == 'pct' else unit}",
         adds=adds,
         shapes=("step",),
         near=lambda: tuple(_limit(column, name, adds, level * (1.0 + side * d)) for d in APART for side in (-1.0, 1.0)),

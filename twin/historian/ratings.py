@@ -321,18 +321,23 @@ def _near_design(flows: Sequence[Series], ratings: Ratings) -> list[bool]:
     return [bool(1.0 / CERTAIN <= share <= CERTAIN) for share in at_work if share > 0.0]
 
 
+def _parts_and_whole(value: Array, heat: Array) -> tuple[Array, float]:
+    """Return the sum of a quantity over that of the heat in each part (`PARTS`,) of the record, and in all of it; NaN
+    where few hours have both, or a part has no heat.
+    """
+    rows = np.flatnonzero(np.isfinite(value) & np.isfinite(heat))
+    sums = np.array([[value[part].sum(), heat[part].sum()] for part in np.array_split(rows, PARTS)])
+    if len(rows) < FEWEST or not (sums[:, 1] > 0.0).all():
+        return np.full(PARTS, np.nan), float("nan")
+    return sums[:, 0] / sums[:, 1], float(sums[:, 0].sum() / sums[:, 1].sum())
+
+
 def _ratio(value: Array, heat: Array) -> float:
     """Return the sum of a quantity over that of the heat; NaN where few hours have both, or a part of them differs.
 
     A unit is wrong in all parts alike; in one of them a meter's range changed.
     """
-    rows = np.flatnonzero(np.isfinite(value) & np.isfinite(heat))
-    if len(rows) < FEWEST:
-        return float("nan")
-    sums = np.array([[value[part].sum(), heat[part].sum()] for part in np.array_split(rows, PARTS)])
-    if not (sums[:, 1] > 0.0).all():
-        return float("nan")
-    parts, ratio = sums[:, 0] / sums[:, 1], float(sums[:, 0].sum() / sums[:, 1].sum())
+    parts, ratio = _parts_and_whole(value, heat)
     if ratio > 0.0:
         # Between two parts no plant's own faults make this factor, so that one unit in both would.
         return ratio if 0.0 < parts.max() <= CERTAIN * parts.min() else float("nan")
@@ -345,15 +350,9 @@ def _beyond(value: Array, heat: Array, band: tuple[float, float]) -> float:
 
     The cells of which nothing is recorded work by turns, so that the ratio of a right meter differs from part to part.
     """
-    rows = np.flatnonzero(np.isfinite(value) & np.isfinite(heat))
-    if len(rows) < FEWEST:
-        return float("nan")
-    sums = np.array([[value[part].sum(), heat[part].sum()] for part in np.array_split(rows, PARTS)])
-    if not (sums[:, 1] > 0.0).all():
-        return float("nan")
-    parts = sums[:, 0] / sums[:, 1]
+    parts, ratio = _parts_and_whole(value, heat)
     most_are = max((parts > band[1]).mean(), (parts < band[0]).mean()) >= MOSTLY
-    return float(sums[:, 0].sum() / sums[:, 1].sum()) if most_are else float("nan")
+    return ratio if most_are else float("nan")
 
 
 def _hourly_mean(series: Series, grid: Array) -> Array:

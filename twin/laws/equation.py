@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from twin.elements.law import Law, LawActuator, LawConductance, LawFlow, LawFluid, LawHeat, LawReading
+from twin.elements.law import (
+    Law,
+    LawActuator,
+    LawConductance,
+    LawFlow,
+    LawFluid,
+    LawHeat,
+    LawInput,
+    LawReading,
+)
 from twin.network import Network
 
 
@@ -66,6 +75,8 @@ def _site(law: Law, shown: Callable[[str], str]) -> tuple[str, str]:
         return f"change of the flow {law.flow}", f"dq({law.flow})"
     if isinstance(law, LawReading):
         return f"change of the reading of {law.sensor}", f"d({law.sensor})"
+    if isinstance(law, LawInput):
+        return f"error of the thermometer of {law.column}", f"d({law.column})"
     assert isinstance(law, LawActuator)
     return f"relative change of the output of {law.column}", f"dP/P({law.column})"
 

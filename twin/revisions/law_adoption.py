@@ -33,8 +33,8 @@ def adopt_law(
     """Return the network with one more law; the old one stays unchanged.
 
     Input columns that the network lacks are declared: a column of the record with the median and the range that it
-    has there, and the stamps. A law of an actuator or of an
-    input brings a neutral actuator with it where the column has none.
+    has there, and the stamps. A law of an actuator or of an input brings a neutral actuator with it where the column
+    has none.
 
     Parameters
     ----------

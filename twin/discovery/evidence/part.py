@@ -43,8 +43,6 @@ LIMITED = (0.1, 0.3, 0.5, 0.7, 0.9)
 MUCH, APART, SIZES = 4.0, 4.0, 3
 """Sizes at which the fit of a lag or delay may begin, in typical ones: the least, their ratio, and how many. For the
 lag of an actuator they are 4 min, 16 min and an hour, its upper bound."""
-
-
 DEAD_APART_S = 150.0
 """Distance of the dead times at which a fit may begin, s, or the length of a block if that is longer. A response that
 is delayed by one load step does not resemble one that is delayed by half of it. A judgement: it bounds their number."""
@@ -306,7 +304,7 @@ def slower(part: Part, entry: Entry, factor: float) -> Entry | None:
     return replace(entry, law=laws[0], shape=shape, size=entry.size / factor).refreshed(part.score_test)
 
 
-def at_level(part: Part, entry: Entry, factor: float) -> Entry | None:
+def at_another_level(part: Part, entry: Entry, factor: float) -> Entry | None:
     """Return a limit at another level, with the same power missing at the highest command; None without influence."""
     c = entry.candidate
     assert c.at_level is not None

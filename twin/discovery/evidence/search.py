@@ -15,7 +15,7 @@ from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.shapes import TIMED
 from twin.discovery.evidence.hypotheses import Class, Found, Hypothesis, Place, Prior, apart, class_of, place
 from twin.discovery.evidence.marginal import form_quadratic, joint, log_widths, widths
-from twin.discovery.evidence.part import Part, at_level, continued, fitted, gains, slower
+from twin.discovery.evidence.part import Part, at_another_level, continued, fitted, gains, slower
 from twin.discovery.evidence.priors import CLAIM, FAULT, UNLISTED
 from twin.discovery.evidence.scan import STEADY, logsumexp, refined, scan
 from twin.discovery.places.localise import WALK_PER_BLOCK
@@ -43,7 +43,8 @@ SLOWER = (1.7, 1.3, 1.1)
 """Ratios of time constants that are tried in turn around the likeliest of the catalogue's, which are a factor of 3
 apart; the first is repeated while it gains."""
 NEARER = (0.04, 0.02, 0.01, 0.005, 0.0025)
-"""Shares of its level by which that of a limit is moved in turn; each is repeated while it gains."""
+"""Shares by which the level of a limit is moved in turn; each is repeated while it gains. A judgement: from a third of
+the distance of two levels that are tried down to a form error."""
 BEGUN = 3
 """Rounds of a fit after which its squares are comparable."""
 
@@ -320,7 +321,8 @@ def _of_other_times(part: Part, best: Hypothesis, prior: Prior, misfit: float) -
         for share in NEARER if entry.candidate.is_limit else ():
             while True:
                 before = best
-                fit_each(i, [o for f in (1.0 + share, 1.0 - share) if (o := at_level(part, best.entries[i], f))])
+                moved_by = (1.0 + share, 1.0 - share)
+                fit_each(i, [o for f in moved_by if (o := at_another_level(part, best.entries[i], f)) is not None])
                 if best is before:
                     break
         if entry.candidate.slower is None:
