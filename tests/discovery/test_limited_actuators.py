@@ -6,7 +6,9 @@ import pytest
 
 from tests.discovery.conftest import Bench
 from twin.discovery import diagnose
-from twin.discovery.healthy.basis import Columns, CommissionedRecord
+from twin.discovery.evidence.part import Part, within_commands
+from twin.discovery.healthy.basis import Columns, CommissionedRecord, basis
+from twin.discovery.records.grid import on_grid
 from twin.revisions import with_elements
 from twin.twinfile import dump, parse
 
@@ -48,3 +50,18 @@ def test_a_twin_that_has_taken_up_a_limit_is_diagnosed_again(brisk: Bench, brisk
     (gone,) = diagnose(own, brisk.record(12.0), before).effects
     assert (gone.kind, gone.where, gone.change) == ("actuator", "heater_power", "existing")
     assert gone.value == pytest.approx(-1.0, abs=0.05)
+
+
+def test_a_limit_below_all_commands_of_a_running_heater_is_a_gain(brisk: Bench, brisk_healthy: Columns) -> None:
+    """Whatever the heater reads while it is off."""
+    record = brisk.record(4.0)
+    record.inputs[100:200, 0] = 0.0
+    record.inputs[150:160, 0] = 3.0
+    grid = on_grid(brisk.network, record.time_s, record.inputs, record.measured)
+    part = Part.of(basis(brisk.network, brisk_healthy, grid), grid)
+    limit = next(c for c in part.basis.book.candidates if c.is_limit and c.where == "heater_power")
+    assert limit.at_level is not None
+    least = grid.inputs[grid.inputs[:, 0] > 100.0, 0].min()
+    levels = (2.0, 0.9 * least, 1.1 * least, 5000.0)
+    crossed = within_commands(part, map(limit.at_level, levels))
+    assert [c.changes for c in crossed] == [limit.at_level(1.1 * least).changes]

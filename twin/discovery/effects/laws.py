@@ -168,8 +168,8 @@ def _taken_up(network: Network, changed: Network, known: Array, step_s: float) -
     at = network.index([f"{node}.capacitance" for node in network.nodes])
     more = changed.values[at] - network.values[at]
     heat = np.zeros_like(known)
-    rate = np.diff(known, axis=0, prepend=known[:1]) / step_s
-    heat[:, more != 0.0] = more[more != 0.0] * rate[:, more != 0.0]
+    for k in np.flatnonzero(more):
+        heat[:, k] = more[k] * np.diff(known[:, k], prepend=known[0, k]) / step_s
     return heat
 
 

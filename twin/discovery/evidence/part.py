@@ -182,10 +182,11 @@ def _at_levels(candidate: Candidate, known: Basis, grid: Grid, run: FreeRun) -> 
 
 
 def _range_of_limited(known: Basis, grid: Grid, candidate: Candidate) -> tuple[float, float]:
-    """Return the least and the largest command of a limited actuator."""
+    """Return the least and the largest command of a limited actuator that runs: what is off has no limit."""
     column = next(str(table["column"]) for table in candidate.adds.values())
     values = grid.inputs[:, known.probe.network.input_columns.index(column)]
-    return float(values.min()), float(values.max())
+    high = float(values.max())
+    return float(values[values >= LIMITED[0] * high].min(initial=high)), high
 
 
 def _limited_to(candidate: Candidate) -> float:
@@ -304,14 +305,23 @@ def slower(part: Part, entry: Entry, factor: float) -> Entry | None:
     return replace(entry, law=laws[0], shape=shape, size=entry.size / factor).refreshed(part.score_test)
 
 
+def within_commands(part: Part, candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
+    """Return candidates without limits that no command crosses: below all of them one is a gain, above them nothing."""
+
+    def crossed(c: Candidate) -> bool:
+        low, high = _range_of_limited(part.basis, part.grid, c)
+        return low < _limited_to(c) < high
+
+    return tuple(c for c in candidates if not c.is_limit or crossed(c))
+
+
 def at_another_level(part: Part, entry: Entry, factor: float) -> Entry | None:
     """Return a limit at another level, with the same power missing at the highest command; None without influence."""
     c = entry.candidate
     assert c.at_level is not None
     made = c.at_level(factor * _limited_to(c))
-    low, high = _range_of_limited(part.basis, part.grid, c)
-    # Below all commands it would be a gain, and above them nothing.
-    laws = part.basis.book.laws(part.grid, part.run, (made,)) if low < _limited_to(made) < high else []
+    _, high = _range_of_limited(part.basis, part.grid, c)
+    laws = part.basis.book.laws(part.grid, part.run, within_commands(part, (made,)))
     if not laws:
         return None
     size = entry.size * (high - _limited_to(c)) / (high - _limited_to(made))

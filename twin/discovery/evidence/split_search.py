@@ -18,7 +18,7 @@ from twin.discovery.evidence.held_out import HeldOutRecord
 from twin.discovery.evidence.hypotheses import Found, Hypothesis, Prior, apart, class_of
 from twin.discovery.evidence.marginal import joint
 from twin.discovery.evidence.missing_in_health import with_missing, with_missing_beside, with_usual
-from twin.discovery.evidence.part import Part, fitted, plainly
+from twin.discovery.evidence.part import Part, fitted, plainly, within_commands
 from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_SHARE, SURE, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, scan
 from twin.discovery.evidence.search import ladder_of, searched
@@ -231,7 +231,7 @@ def _nearer(part: Part) -> tuple[Candidate, ...]:
             # Laws of other parameters may follow the same driver at one place.
             first.setdefault((c.kind, c.where, c.driver, *c.changes), entry)
     best = dict(first)
-    forms = {key: _near(entry) for key, entry in first.items()}
+    forms = {key: _near(part, entry) for key, entry in first.items()}
     while forms:
         laws = {key: part.basis.book.laws(part.grid, part.run, those) for key, those in forms.items()}
         of = {id(law): key for key, those in laws.items() for law in those}
@@ -240,13 +240,13 @@ def _nearer(part: Part) -> tuple[Candidate, ...]:
             nearer.setdefault(of[id(entry.law)], entry)
         better = {key: entry for key, entry in nearer.items() if entry.log_bayes > best[key].log_bayes}
         best |= better
-        forms = {key: _near(entry) for key, entry in better.items()}
+        forms = {key: _near(part, entry) for key, entry in better.items()}
     return tuple(entry.candidate for key, entry in best.items() if entry is not first[key])
 
 
-def _near(entry: Entry) -> tuple[Candidate, ...]:
-    """Return the similar forms of an entry's law."""
-    return () if entry.candidate.near is None else entry.candidate.near()
+def _near(part: Part, entry: Entry) -> tuple[Candidate, ...]:
+    """Return the similar forms of an entry's law that the part can tell."""
+    return () if entry.candidate.near is None else within_commands(part, entry.candidate.near())
 
 
 def finding_of(found: Found, part: Part, record_s: float, *, fewer: bool = False) -> Finding:
