@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         until_stopped,
     )
     from drivers.virtual.rig import VirtualRig, VirtualRigOptions, serve, start_virtual_rig
+    from drivers.virtual.turns import taking_turns
 
 __all__ = [
     "PortInUseError",
@@ -36,6 +37,7 @@ __all__ = [
     "spawn",
     "start_virtual_rig",
     "stop_on_signals",
+    "taking_turns",
     "until_stopped",
 ]
 
@@ -58,5 +60,6 @@ __getattr__, __dir__ = lazy_names(
             "serve",
             "start_virtual_rig",
         ),
+        "turns": ("taking_turns",),
     },
 )

@@ -251,9 +251,11 @@ class _Call:
 def _is_stiff(intervals: Array, fastest: float) -> bool:
     """Return True where the linearly implicit method is to take these intervals (n - 1,), s, of a network whose largest
     rate is `fastest`, 1/s."""
-    if not len(intervals) or float(np.median(intervals)) * fastest <= STIFF:
+    longest = float(intervals.max(initial=0.0))
+    # The median, which takes far longer to find, is no longer than that.
+    if longest * fastest <= STIFF or float(np.median(intervals)) * fastest <= STIFF:
         return False
-    return len(intervals) > FEW_INTERVALS or float(intervals.max()) * fastest > REACH
+    return len(intervals) > FEW_INTERVALS or longest * fastest > REACH
 
 
 def simulate(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Iterable
 from typing import Protocol
 
 from drivers.bus import steady_s
@@ -151,10 +152,14 @@ class _GrantLine(asyncio.Protocol):
 
 
 class LockstepClock:
-    """Clock that grants the virtual rig each step: a run is as fast as the machine, and the same every time."""
+    """Clock that grants the virtual rig each step: a run is as fast as the machine, and the same every time.
 
-    def __init__(self, host: str, port: int) -> None:
+    `pids` are the rig's processes, if they are on this machine and of this run.
+    """
+
+    def __init__(self, host: str, port: int, pids: Iterable[int] = ()) -> None:
         self.period_s = 1.0
+        self.pids = tuple(pids)
         self.overruns = 0
         self._host, self._port = host, port
         self._line: _GrantLine | None = None

@@ -62,7 +62,7 @@ async def rig_and_clock(
             for name, bus in rig.bus.items()
         }
         if request.mode == "lockstep":
-            lockstep = LockstepClock("127.0.0.1", virtual.control_port)
+            lockstep = LockstepClock("127.0.0.1", virtual.control_port, virtual.pids.values())
             await lockstep.connect()
             yield _waiting(rig).with_ports(ports), lockstep
         else:
@@ -80,7 +80,7 @@ async def _served(request: RunRequest, rig: Rig, announce: Callable[[str], None]
     options = ServedRigOptions(twin=twin, mode=request.mode, speed=request.speed, seed=request.seed)
     async with await start_served_rig(request.rig, options) as served:
         if request.mode == "lockstep":
-            lockstep = LockstepClock("127.0.0.1", served.control_port)
+            lockstep = LockstepClock("127.0.0.1", served.control_port, served.pids.values())
             await lockstep.connect()
             yield _waiting(moved_rig(rig, served.sections)), lockstep
         else:

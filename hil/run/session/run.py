@@ -10,10 +10,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from drivers.rig import RigConnection, rig_signals
+from drivers.virtual import taking_turns
 from hil.alarms import META_KEY, as_document, definitions_of
 from hil.diagnosis import Reply
 from hil.journal import ENDED, Header, JournalError, JournalWriter, State
-from hil.run.engine import Engine, Options, Outcome, RunSignals, Status, interrupted, serving, stopping
+from hil.run.engine import Engine, LockstepClock, Options, Outcome, RunSignals, Status, interrupted, serving, stopping
 from hil.run.locks import RigClaim
 from hil.run.restore import Resumption, clocks_recorded, restore_calibrators
 from hil.run.session.derived_files import REPORT, REVIEW, DerivedFiles, derive_files
@@ -161,17 +162,22 @@ async def _run_in(run: PreparedRun) -> RunResult:
             ),
         )
         async with serving(folder.control, engine, announce):
-            with stopping(engine, run.signals):
+            turns = taking_turns(clock.pids) if isinstance(clock, LockstepClock) else contextlib.nullcontext()
+            with stopping(engine, run.signals), turns:
                 outcome = await engine.run()
         run.claim.release()  # what follows needs no rig
+        # The diagnosis reads the samples alone: it need not wait until the calibrators have caught up.
+        last = None if live is None else asyncio.ensure_future(live.finish(folder.diagnosis))
+        if last is not None:
+            stack.callback(last.cancel)
         comparison = None if tracking is None else await _unless_interrupted(tracking.finish(), run)
         outcome.problems.extend(tracking.failures if tracking is not None else ())
         wall_s = loop.time() - began
         reply = None
-        if live is not None:
+        if live is not None and last is not None:
             announce("diagnosing the whole run (Ctrl-C skips it)")
             with interrupted(live.give_up, run.signals):
-                reply = await live.finish(folder.diagnosis)
+                reply = await last
         manifest |= end_entries(folder, manifest, outcome, resumption, wall_s) | {
             "errors_K": None if comparison is None else asdict(comparison.errors),
             "bands": None if comparison is None else comparison.bands,

@@ -243,3 +243,24 @@ def test_a_network_is_asked_whether_it_leaks_before_any_gate_opens(ensemble: Ens
     told = TwinTracker(LOOP, calibrator(ensemble)).push(*record(CHANGE)).proposals
     assert all(p["held"].keys() == p["values"].keys() for p in told)
     assert sum("LEAKAGE" in str(p["reasons"]) for p in told) == len(told) - 6
+
+
+def test_a_context_that_was_fitted_before_its_target_came_is_not_fitted_again(
+    ensemble: Ensemble, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fits = 0
+
+    def counted(*args: Any, **options: Any) -> Any:
+        nonlocal fits
+        fits += 1
+        return estimate(*args, **options)
+
+    def proposals() -> list[dict[str, Any]]:
+        return list(TwinTracker(LOOP, calibrator(ensemble)).push(*record(CHANGE)).proposals)
+
+    monkeypatch.setattr(service, "estimate", counted)
+    kept = proposals()
+    fewer, fits = fits, 0
+    monkeypatch.setattr(service, "FITS", 0)
+    assert proposals() == kept
+    assert fewer < 0.7 * fits

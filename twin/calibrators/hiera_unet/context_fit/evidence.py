@@ -12,6 +12,7 @@ equations and stands beside it.
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +31,8 @@ from twin.network import Array
 
 HORIZONS = (CONTEXT - TARGET, 720, 360, 180, 90, 45)
 """Steps before the target that are fitted."""
+FITTED = CONTEXT - TARGET - 1
+"""Fitted steps of a context of which all is known: of the last one, half is still to come when it is first read."""
 LIMIT = 80.0
 """Condition number above which a set of parameters counts as not identifiable."""
 SMALL = 0.2
@@ -192,17 +195,34 @@ def nothing(features: Features, frame: Frame, belief: ParameterPrior) -> Context
     )
 
 
-def _data(features: Features, frame: Frame, first: int, last: int) -> FitData:
-    """Return steps `first` to `last` of the window, a step more than is fitted so that the run reaches the target."""
-    measured = frame.measured[first:last]
-    good = np.isfinite(measured) & ~stuck(frame.measured[:last])[first:]
+def _data(features: Features, frame: Frame, first: int, last: int, fitted: int | None = None) -> FitData:
+    """Return steps `first` to `last` of the window; those from `fitted` on are simulated and not looked at."""
+    seen = frame.measured[: last if fitted is None else fitted]
+    good = np.zeros((last - first, seen.shape[1]), dtype=bool)
+    good[: len(seen) - first] = (np.isfinite(seen) & ~stuck(seen))[first:]
     sigma = step_noise(features)
     return FitData(
         np.ascontiguousarray(frame.time[first:last]),
         np.ascontiguousarray(frame.held[first:last]),
-        np.where(good, measured, 0.0),
+        np.where(good, frame.measured[first:last], 0.0),
         np.where(good, 1.0 / sigma, 0.0),
     )
+
+
+def _context(features: Features, frame: Frame, first: int) -> FitData:
+    """Return the context from step `first` on, and the target's first step, which the run is to reach."""
+    return _data(features, frame, first, CONTEXT - TARGET + 1, FITTED)
+
+
+def read_by_estimate(frame: Frame) -> bytes:
+    """Return a digest of all that `estimate` reads of a window, given the twin.
+
+    The same two hours are read again when their target has come: ten minutes later this is the same.
+    """
+    digest = hashlib.blake2b(repr(frame.begin).encode())
+    for array in (frame.start, frame.measured[:FITTED], frame.held[: FITTED + 1], frame.time[: FITTED + 2]):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.digest()
 
 
 def step_noise(features: Features) -> Array:
@@ -215,10 +235,8 @@ def step_noise(features: Features) -> Array:
 def _fit(
     features: Features, frame: Frame, values: Array, steps: int, belief: ParameterPrior
 ) -> tuple[GaussNewtonFit, float] | None:
-    last = CONTEXT - TARGET
-    first = max(last - steps, frame.begin)
-    data = _data(features, frame, first, last + 1)
-    data.weight[-1] = 0.0
+    first = max(CONTEXT - TARGET - steps, frame.begin)
+    data = _context(features, frame, first)
     count = int((data.weight > 0.0).sum())
     if count < 4 * len(features.deviations):
         return None
@@ -255,9 +273,9 @@ def _conclude(
     count = len(features.deviations)
     scaling = features.deviations.scaling(values)
     first = max(CONTEXT - TARGET - steps, frame.begin)
-    data = _data(features, frame, first, CONTEXT - TARGET + 1)
+    data = _context(features, frame, first)
     residual = np.where(data.weight > 0.0, fit.data.readings - data.measured, np.nan)
-    widened = variance_inflation(residual[:-1], step_noise(features))
+    widened = variance_inflation(residual[: FITTED - first], step_noise(features))
     nodes = len(features.network.nodes)
     prior = np.diag(np.concatenate([belief.sd, np.full(nodes, STATE_SD)]) ** -2.0)
     covariance = np.linalg.inv(fit.normal / widened + prior)[:count, :count]

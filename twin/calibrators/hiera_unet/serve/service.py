@@ -18,7 +18,12 @@ import numpy as np
 from twin.calibrators.base import Calibration, FilteredReadings, Window, from_json, to_json
 from twin.calibrators.hiera_unet.context_fit import contradicted
 from twin.calibrators.hiera_unet.context_fit.contradicted import Doubt
-from twin.calibrators.hiera_unet.context_fit.evidence import ContextFit, estimate, step_noise
+from twin.calibrators.hiera_unet.context_fit.evidence import (
+    ContextFit,
+    estimate,
+    read_by_estimate,
+    step_noise,
+)
 from twin.calibrators.hiera_unet.context_fit.holding import NARROWEST, taken
 from twin.calibrators.hiera_unet.data.channels import table
 from twin.calibrators.hiera_unet.data.features import Features, Frame
@@ -46,6 +51,8 @@ RECORDS = 288
 LIVED = 7
 """Cycles for which the live twin's values are kept: half an hour. Values of another calibrator that shares the windows
 are not kept."""
+FITS = 2 * round(TARGET * STEP_S / CYCLE_S) + 2
+"""Fits of contexts that are kept: the two of each cycle until the target of the first has come."""
 LATEST, FAR_OFF = 60, 4.0
 """Latest steps over which the live twin is compared with a fit, and the ratio of their mean squares from which it is
 adrift."""
@@ -85,6 +92,7 @@ class HieraUNetCalibrator:
         self._spoken: tuple[Spoken, ...] = ()
         self._aside: tuple[Doubt, ...] = ()
         self._lived: deque[Array] = deque(maxlen=LIVED)
+        self._fits: dict[bytes, ContextFit] = {}
         self._leakage: float | None = None
         self._spread = np.full(len(network.sensors), np.nan)
 
@@ -234,13 +242,23 @@ class HieraUNetCalibrator:
         nominal, found = self.network.values, []
         for part in (series, series.ahead(TARGET)):
             frame = self.features.frame(part, len(part), nominal)
-            evidence = estimate(self.features, frame, nominal)
+            evidence = self._fitted(frame)
             frame = self.features.explained(frame, nominal, evidence.theta, evidence.steps)
             found.append((frame, evidence, one(self.features, frame, evidence, nominal)))
         # Both at once: half of what a member costs does not depend on how many windows it is asked about.
         said = self.ensemble.ask(joined([row for _, _, row in found]), corrected=1)
         past, ahead = (_WindowReading(*read, told) for read, told in zip(found, said, strict=True))
         return past, ahead
+
+    def _fitted(self, frame: Frame) -> ContextFit:
+        """Return the fit of a window's context; the latest are kept, for when their targets have come."""
+        read = read_by_estimate(frame)
+        found = self._fits.pop(read, None) or estimate(self.features, frame, self.network.values)
+        if found.evaluations:  # without data, the result depends on more of the window
+            self._fits[read] = found
+        while len(self._fits) > FITS:
+            del self._fits[next(iter(self._fits))]
+        return found
 
     def _evidently(self, past: _WindowReading, ahead: _WindowReading) -> Evidently:
         """Return the evidence for the gates: of the record and its past predictions, and of the parameters at present.
