@@ -224,7 +224,7 @@ def test_a_thermometer_that_sticks_is_told_with_its_level(
     assert (effect.kind, effect.where, effect.unit, effect.shape) == ("sensor", sensor, "1", "spell")
     assert effect.value == pytest.approx(1.0, abs=0.05) and effect.onset_s == pytest.approx(since_h * HOUR, abs=60.0)
     told = re.search(rf"{sensor} sticks at ([0-9.]+) degC", found.summary)
-    assert told is not None and float(told[1]) == pytest.approx(level, abs=0.1)
+    assert told is not None and float(told[1]) == pytest.approx(level, abs=0.1) == effect.level
 
 
 def test_a_thermometer_at_another_place_reads_all_of_its_temperature(brisk: Bench, brisk_healthy: Columns) -> None:

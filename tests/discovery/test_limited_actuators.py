@@ -29,6 +29,7 @@ def test_a_limit_is_found_with_its_level(brisk: Bench, brisk_healthy: Columns, c
     assert (first.kind, first.where, first.driver) == ("actuator", what, what) and first.value == pytest.approx(
         1.0, abs=0.05
     )
+    assert first.level == pytest.approx(level, rel=0.02) and found.document()["effects"][0]["level"] is not None
     assert found.network is not None
     values = parse(dump(found.network)).parameters
     share, offset = (values[f"limit_of_{column}.{name}"].value for name in ("share", "offset"))

@@ -22,7 +22,8 @@ class Effect:
 
     `says` is the effect in plain words, `evidence` what supports it. `family_wise`: probability that noise alone scores
     as much somewhere in the catalogue; NaN for an effect that no scan has found. `noise_z`: score that noise alone
-    reaches there in one record of a hundred; NaN where that is the diagnosis's threshold.
+    reaches there in one record of a hundred; NaN where that is the diagnosis's threshold. `level`: that of a limit, in
+    the unit of its command, or the reading, degC, at which a thermometer sticks.
     """
 
     kind: str
@@ -42,6 +43,7 @@ class Effect:
     says: str = ""
     family_wise: float = float("nan")
     noise_z: float = float("nan")
+    level: float | None = None
 
 
 @dataclass(frozen=True)
@@ -298,6 +300,7 @@ def _effect(e: Effect) -> dict[str, Any]:
         "onset_s": _round(e.onset_s),
         "onset_interval90_s": [_round(x) for x in e.onset_interval90_s],
         "shape": e.shape,
+        "level": None if e.level is None else _round(e.level),
         "confidence": _round(e.confidence),
         "z": _round(e.z),
         "p_family_wise": _round(e.family_wise),

@@ -46,6 +46,8 @@ class Candidate:
         Function that makes similar forms, which are tested where this one scores.
     at_level
         Of a thermometer that sticks, or of an actuator that is limited: function that makes the same at another level.
+    level
+        That level, in the unit of its column; None of other laws.
     begins
         Input column whose temperature an added mass has at its onset, or "" for that of its place.
     slow_s, slower
@@ -74,6 +76,7 @@ class Candidate:
     lumped: float = 0.0
     near: Callable[[], tuple[Candidate, ...]] | None = None
     at_level: Callable[[float], Candidate] | None = None
+    level: float | None = None
     begins: str = ""
     slow_s: float = 0.0
     slower: Callable[[float], Candidate] | None = None

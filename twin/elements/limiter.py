@@ -93,4 +93,5 @@ def _limit(column: str, name: str, adds: dict[str, dict[str, str]], level: float
         shapes=("step",),
         near=lambda: tuple(_limit(column, name, adds, level * (1.0 + side * d)) for d in APART for side in (-1.0, 1.0)),
         at_level=lambda other: _limit(column, name, adds, other),
+        level=level,
     )

@@ -179,6 +179,7 @@ class Sensor(Element):
                 f"{self.name}_sticks": {"kind": "law_reading", "sensor": self.name, "form": "constant"},
             },
             at_level=lambda shown_c: self._stuck(where, shown_c),
+            level=level_c,
         )
 
     def _stuck_otherwise(self, where: str, values: Mapping[str, float]) -> Candidate:

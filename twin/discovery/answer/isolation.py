@@ -139,6 +139,7 @@ def _effect(entry: Entry, finding: Finding, sure: float, grid: Grid) -> Effect:
         z=math.sqrt(gain),
         evidence=f"{says}; with it {100.0 * share:.1f} % of the mismatch is gone",
         growth_s=entry.shape.growth_s,
+        level=c.level,
         says=says,
     )
 

@@ -189,11 +189,6 @@ def _range_of_limited(known: Basis, grid: Grid, candidate: Candidate) -> tuple[f
     return float(values[values >= LIMITED[0] * high].min(initial=high)), high
 
 
-def _limited_to(candidate: Candidate) -> float:
-    """Return the level of a limit."""
-    return next(weight for name, weight in candidate.changes.items() if name.endswith(".offset"))
-
-
 def _stuck_at(candidate: Candidate, known: Basis, grid: Grid, run: FreeRun) -> Candidate | None:
     """Return a stuck thermometer with the level at which its reading stood still while the twin's moved; None without.
 
@@ -310,7 +305,7 @@ def within_commands(part: Part, candidates: Iterable[Candidate]) -> tuple[Candid
 
     def crossed(c: Candidate) -> bool:
         low, high = _range_of_limited(part.basis, part.grid, c)
-        return low < _limited_to(c) < high
+        return c.level is not None and low < c.level < high
 
     return tuple(c for c in candidates if not c.is_limit or crossed(c))
 
@@ -318,13 +313,13 @@ def within_commands(part: Part, candidates: Iterable[Candidate]) -> tuple[Candid
 def at_another_level(part: Part, entry: Entry, factor: float) -> Entry | None:
     """Return a limit at another level, with the same power missing at the highest command; None without influence."""
     c = entry.candidate
-    assert c.at_level is not None
-    made = c.at_level(factor * _limited_to(c))
+    assert c.at_level is not None and c.level is not None
+    made = c.at_level(factor * c.level)
     _, high = _range_of_limited(part.basis, part.grid, c)
     laws = part.basis.book.laws(part.grid, part.run, within_commands(part, (made,)))
-    if not laws:
+    if not laws or made.level is None:
         return None
-    size = entry.size * (high - _limited_to(c)) / (high - _limited_to(made))
+    size = entry.size * (high - c.level) / (high - made.level)
     return replace(entry, law=laws[0], size=min(size, c.upper)).refreshed(part.score_test)
 
 

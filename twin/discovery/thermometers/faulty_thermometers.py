@@ -376,6 +376,7 @@ def _standing(spans: tuple[Stuck, ...]) -> Effect:
         shape="stuck",
         confidence=1.0,
         z=100.0,
+        level=first.value,
         says=says,
         evidence="a noisy reading does not repeat itself for so long",
     )
