@@ -162,7 +162,8 @@ async def _run_in(run: PreparedRun) -> RunResult:
             ),
         )
         async with serving(folder.control, engine, announce):
-            turns = taking_turns(clock.pids) if isinstance(clock, LockstepClock) else contextlib.nullcontext()
+            rig_pids = clock.pids if isinstance(clock, LockstepClock) else ()
+            turns = taking_turns(rig_pids) if rig_pids else contextlib.nullcontext()
             with stopping(engine, run.signals), turns:
                 outcome = await engine.run()
         run.claim.release()  # what follows needs no rig
