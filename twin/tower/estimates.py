@@ -103,6 +103,9 @@ class Estimate:
         Labels, each with value and standard deviation of the Gaussian that stands for it.
     widening
         Factors of the standard deviations of the slow deviations (5,), () for none.
+    lasting
+        Standard deviations of errors of the slow deviations that last for the record and of which no residual tells
+        (5,), () for none.
     """
 
     edges_s: Array
@@ -120,13 +123,15 @@ class Estimate:
     considered: Array = field(default_factory=lambda: np.zeros((0, 0)))
     label_sites: tuple[tuple[Label, float, float], ...] = ()
     widening: Array = field(default_factory=lambda: np.zeros(0))
+    lasting: Array = field(default_factory=lambda: np.zeros(0))
 
     def sd(self) -> Array:
         """Return the standard deviations of the slow deviations (k, 5), those by the considered constants included."""
         count = self.slow.size
         variance = np.diag(self.covariance)[:count] + self.considered_variance(np.arange(count))
         sd = np.sqrt(variance).reshape(self.slow.shape)
-        return np.asarray(sd * self.widening if self.widening.size else sd)
+        sd = sd * self.widening if self.widening.size else sd
+        return np.asarray(np.hypot(sd, self.lasting) if self.lasting.size else sd)
 
     def considered_variance(self, rows: NDArray[np.intp]) -> Array:
         """Return the variance of quantities by the considered constants (rows,)."""

@@ -37,6 +37,7 @@ from twin.tower.calibration import (
     label_conflicts,
     predict_cell,
     widened,
+    with_lasting_errors,
 )
 from twin.tower.cell_observations import Label
 from twin.tower.change_detection import (
@@ -106,6 +107,7 @@ def calibrate(
     records = [draft.record for draft in drafts]
     fitted, second = joined_by_basin([draft.fitted for draft in drafts], records, notes)
     fitted, unused = joined_by_makeup(fitted, records, notes)
+    fitted = [replace(one, posterior=with_lasting_errors(one.posterior)) for one in fitted]
     found = [label_conflicts(one.posterior, WALK) for one in fitted]
     fitted = [replace(one, posterior=widened(one.posterior, c)) for one, c in zip(fitted, found, strict=True)]
     return [

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
         fit_cell,
         predict_cell,
     )
-    from twin.tower.calibration.conflicts import LabelConflict, label_conflicts, widened
+    from twin.tower.calibration.conflicts import LabelConflict, label_conflicts, widened, with_lasting_errors
     from twin.tower.calibration.outlet_interval import NORMAL, QUANTILE, WET_C, WINDOW_S
 
 
@@ -40,6 +40,7 @@ __all__ = [
     "predict_cell",
     "split",
     "widened",
+    "with_lasting_errors",
     "without_discrepancy",
 ]
 
@@ -48,7 +49,7 @@ __getattr__, __dir__ = lazy_names(
     {
         "baselines": ("BASELINES", "CellDataset", "split", "without_discrepancy"),
         "cell_fit": ("Calibrated", "CalibrationError", "FEWEST_BLOCKS", "Fitted", "fit_cell", "predict_cell"),
-        "conflicts": ("LabelConflict", "label_conflicts", "widened"),
+        "conflicts": ("LabelConflict", "label_conflicts", "widened", "with_lasting_errors"),
         "outlet_interval": ("NORMAL", "QUANTILE", "WET_C", "WINDOW_S"),
     },
 )

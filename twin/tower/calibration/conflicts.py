@@ -6,17 +6,23 @@ more than 1 % of such labels are. Two values of one quantity that contradict eac
 nothing says which. The standard deviation is then multiplied by their distance in standard deviations, so that the
 interval reaches both.
 
+Values that all lie off by somewhat more than they should show an error of the twin itself that lasts, as one of its law
+in cold weather does: a fit takes it for a deviation and leaves nothing of it in any residual. Its variance is what the
+squared distances exceed their expectation by, as between the results of different laboratories.
+
 Sources: Birge, Phys. Rev. 40 (1932) 207 (scale of inconsistent values); Opper & Winther, Neural Comput. 12 (2000) 2655
-(cavity).
+(cavity); DerSimonian & Laird, Control. Clin. Trials 7 (1986) 177 (variance between results).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
+from twin.tower.air import Array
 from twin.tower.cell_observations import Label
 from twin.tower.estimates import DAY_S, Estimate
 from twin.tower.model import SLOW
@@ -25,6 +31,12 @@ BEYOND = 2.576
 """Standard deviations beyond which 1 % of a normal distribution lies."""
 LEAST = 0.05
 """Least precision of a cavity, as a share of the posterior's: below it the label alone decides."""
+MEDIAN = 0.4549
+"""Median of the squared distances, in variances: that of a chi-square distribution of one degree of freedom."""
+AS_STATED = 2.0
+"""Values as good as stated that count beside those of a record. A judgement."""
+FEWEST = 4
+"""Values below which no lasting error is told from chance. A judgement: a wrong one among three moves their median."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +51,58 @@ class LabelConflict:
     other: Label | None = None
 
 
+class _Cavity(NamedTuple):
+    """A label, mean and standard deviation of its deviation without it, and that of an error of it that lasts."""
+
+    label: Label
+    mean: float
+    sd: float
+    lasting: float
+
+    @property
+    def off(self) -> float:
+        """Return the distance of the mean from the label's value or interval."""
+        return max(self.label.low - self.mean, self.mean - self.label.high, 0.0)
+
+    @property
+    def expected(self) -> float:
+        """Return the standard deviation of that distance."""
+        return float(np.linalg.norm([self.sd, self.label.sd or 0.0, self.lasting]))
+
+
+def _cavities(p: Estimate) -> list[_Cavity]:
+    lasting = p.lasting if p.lasting.size else np.zeros(len(SLOW))
+    variance, found = replace(p, lasting=np.zeros(0)).sd() ** 2, []
+    for label, value, sd in p.label_sites:
+        k, j = int(p.cells_at(np.array([label.time_s]))[0]), SLOW.index(label.parameter)
+        mean, own = float(p.slow[k, j]), float(variance[k, j])
+        precision = max(1.0 / own - 1.0 / sd**2, LEAST / own)
+        found.append(_Cavity(label, (mean / own - value / sd**2) / precision, precision**-0.5, float(lasting[j])))
+    return found
+
+
+def with_lasting_errors(p: Estimate) -> Estimate:
+    """Return the posterior with the errors that last for the record, as the values of its labels show them.
+
+    Values that contradict the record beside such an error count as wrong, and are left out.
+    """
+    cavities, lasting = [one for one in _cavities(p) if one.label.sd], np.zeros(len(SLOW))
+    for j, name in enumerate(SLOW):
+        own = [one for one in cavities if one.label.parameter == name]
+        if len(own) >= FEWEST:
+            lasting[j] = _lasting_error(np.array([one.off for one in own]), np.array([one.expected for one in own]))
+    return replace(p, lasting=lasting) if lasting.any() else p
+
+
+def _lasting_error(off: Array, expected: Array) -> float:
+    """Return the standard deviation beyond what distances `off` (n,) of values are `expected` to have (n,)."""
+    # The median tells what is wrong, as long as less than half of the values are.
+    excess = float(np.median(off**2 / MEDIAN - expected**2))
+    sound = off <= BEYOND * np.sqrt(expected**2 + max(excess, 0.0))
+    found = float((off[sound] ** 2 - expected[sound] ** 2).sum()) / (sound.sum() + AS_STATED)
+    return float(np.sqrt(max(found, 0.0)))
+
+
 def label_conflicts(p: Estimate, walk: Mapping[str, float]) -> tuple[LabelConflict, ...]:
     """Return the labels that contradict a posterior without them, in the order of time.
 
@@ -49,16 +113,11 @@ def label_conflicts(p: Estimate, walk: Mapping[str, float]) -> tuple[LabelConfli
     walk
         Standard deviation of a day's change by deviation, for two labels of different times.
     """
-    variance, found = p.sd() ** 2, []
-    for label, value, sd in p.label_sites:
-        k, j = int(p.cells_at(np.array([label.time_s]))[0]), SLOW.index(label.parameter)
-        mean, own = float(p.slow[k, j]), float(variance[k, j])
-        precision = max(1.0 / own - 1.0 / sd**2, LEAST / own)
-        without, spread = (mean / own - value / sd**2) / precision, precision**-0.5
-        off = max(label.low - without, without - label.high, 0.0)
-        distance = off / float(np.hypot(spread, label.sd or 0.0))
-        if distance > BEYOND:
-            found.append(LabelConflict(label, without, spread, distance))
+    found = [
+        LabelConflict(one.label, one.mean, one.sd, one.off / one.expected)
+        for one in _cavities(p)
+        if one.off > BEYOND * one.expected
+    ]
     found.sort(key=lambda one: one.label.time_s)
     return tuple(replace(one, other=_contradicted(one, found, walk)) for one in found)
 
