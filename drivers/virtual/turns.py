@@ -1,8 +1,8 @@
 """One processor for processes that take turns.
 
 In lockstep the engine waits for the rig, and the rig for the engine: only one of them works at any moment. Spread over
-processors, each finds its own asleep at every message, and to wake one takes longer than the work. The gain is
-`hil bench bus`'s to show; a system without affinities is left as it is.
+processors, each finds its own asleep at every message, and to wake one takes longer than the work. A system without
+affinities is left as it is.
 """
 
 from __future__ import annotations

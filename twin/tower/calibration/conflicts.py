@@ -114,7 +114,7 @@ def label_conflicts(p: Estimate, walk: Mapping[str, float]) -> tuple[LabelConfli
         Standard deviation of a day's change by deviation, for two labels of different times.
     """
     found = [
-        LabelConflict(one.label, one.mean, one.sd, one.off / one.expected)
+        LabelConflict(one.label, one.mean, float(np.hypot(one.sd, one.lasting)), one.off / one.expected)
         for one in _cavities(p)
         if one.off > BEYOND * one.expected
     ]
