@@ -5,16 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from twin.elements.law import (
-    Law,
-    LawActuator,
-    LawConductance,
-    LawFlow,
-    LawFluid,
-    LawHeat,
-    LawInput,
-    LawReading,
-)
+from twin.elements.law import Law, LawActuator, LawConductance, LawFlow, LawFluid, LawHeat, LawInput, LawReading
 from twin.network import Network
 
 

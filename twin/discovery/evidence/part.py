@@ -40,6 +40,9 @@ STOOD = (0.03, 0.1, 0.3)
 LIMITED = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Levels at which an actuator may be limited, as shares of the range of its command. Others are tried about the best.
 """
+RUNS = 0.1
+"""Share of its largest command from which an actuator counts as running. A judgement: less is standby, or a meter's
+offset."""
 MUCH, APART, SIZES = 4.0, 4.0, 3
 """Sizes at which the fit of a lag or delay may begin, in typical ones: the least, their ratio, and how many. For the
 lag of an actuator they are 4 min, 16 min and an hour, its upper bound."""
@@ -182,11 +185,11 @@ def _at_levels(candidate: Candidate, known: Basis, grid: Grid, run: FreeRun) -> 
 
 
 def _range_of_limited(known: Basis, grid: Grid, candidate: Candidate) -> tuple[float, float]:
-    """Return the least and the largest command of a limited actuator that runs: what is off has no limit."""
+    """Return the least and the largest command of a limited actuator while it runs; at rest it shows no limit."""
     column = next(str(table["column"]) for table in candidate.adds.values())
     values = grid.inputs[:, known.probe.network.input_columns.index(column)]
     high = float(values.max())
-    return float(values[values >= LIMITED[0] * high].min(initial=high)), high
+    return float(values[values >= RUNS * high].min(initial=high)), high
 
 
 def _stuck_at(candidate: Candidate, known: Basis, grid: Grid, run: FreeRun) -> Candidate | None:

@@ -32,7 +32,8 @@ from twin.network import Array
 HORIZONS = (CONTEXT - TARGET, 720, 360, 180, 90, 45)
 """Steps before the target that are fitted."""
 FITTED = CONTEXT - TARGET - 1
-"""Fitted steps of a context of which all is known: of the last one, half is still to come when it is first read."""
+"""Step of a window before which its context is fitted. Of this step, the last one before the target, half of the
+samples are still to come when a service reads it for the first time."""
 LIMIT = 80.0
 """Condition number above which a set of parameters counts as not identifiable."""
 SMALL = 0.2

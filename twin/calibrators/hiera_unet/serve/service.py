@@ -18,12 +18,7 @@ import numpy as np
 from twin.calibrators.base import Calibration, FilteredReadings, Window, from_json, to_json
 from twin.calibrators.hiera_unet.context_fit import contradicted
 from twin.calibrators.hiera_unet.context_fit.contradicted import Doubt
-from twin.calibrators.hiera_unet.context_fit.evidence import (
-    ContextFit,
-    estimate,
-    read_by_estimate,
-    step_noise,
-)
+from twin.calibrators.hiera_unet.context_fit.evidence import ContextFit, estimate, read_by_estimate, step_noise
 from twin.calibrators.hiera_unet.context_fit.holding import NARROWEST, taken
 from twin.calibrators.hiera_unet.data.channels import table
 from twin.calibrators.hiera_unet.data.features import Features, Frame
