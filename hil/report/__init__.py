@@ -11,7 +11,7 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.report.actuators import pair_actuators
-    from hil.report.page import write_report
+    from hil.report.page import load_libraries, write_report
     from hil.report.pdf import PdfError, write_pdf
     from hil.report.plot_script import SCRIPT
     from hil.report.statistics import number, symbol, time_unit
@@ -25,6 +25,7 @@ __all__ = [
     "PdfError",
     "ZoomCurve",
     "earlier_verdicts",
+    "load_libraries",
     "number",
     "pair_actuators",
     "symbol",
@@ -38,7 +39,10 @@ __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "actuators": ("pair_actuators",),
-        "page": ("write_report",),
+        "page": (
+            "load_libraries",
+            "write_report",
+        ),
         "pdf": (
             "PdfError",
             "write_pdf",

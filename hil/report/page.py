@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -99,6 +100,12 @@ def write_report(folder: RunFolder, missing: Mapping[str, str] | None = None) ->
     page = document(folder.path.name, _STYLE + PLOT_STYLE, [element("h1", folder.path.name), *body], SCRIPT)
     with replacing(folder.report) as temporary:
         temporary.write_text(page, encoding="utf-8")
+
+
+def load_libraries() -> None:
+    """Import the libraries of the pictures, which takes a second that a command may spend on waiting."""
+    import_module("matplotlib.backends.backend_agg")
+    import_module("matplotlib.image")
 
 
 def _part(title: str, *content: Html) -> Html:

@@ -7,8 +7,8 @@ import logging
 import os
 import signal
 import sys
+import threading
 from pathlib import Path
-from types import FrameType
 
 from hil.journal import JournalError
 from hil.review.follower import POLL_S, follow
@@ -23,16 +23,26 @@ def main(arguments: list[str] | None = None) -> int:
     verb.add_argument("--rrd", type=Path, help="file to write at the end of the run")
     verb.add_argument("--viewer", help="URL of a running viewer, rerun+http://127.0.0.1:PORT/proxy")
     verb.add_argument("--poll", type=float, default=POLL_S, metavar="SECONDS")
+    verb.add_argument("--while-open", action="store_true", help="end when the standard input is closed")
     given = parser.parse_args(arguments)
     logging.basicConfig(format="%(message)s", level=logging.WARNING)
     asked = False
 
-    def ask(number: int, frame: FrameType | None) -> None:
+    def ask(*_: object) -> None:
         nonlocal asked
         asked = True
 
+    def until_closed() -> None:
+        # Not through the stream: a thread that holds it prevents an orderly end of the process.
+        while os.read(sys.stdin.fileno(), 4096):
+            pass
+        ask()
+
     signal.signal(signal.SIGTERM, ask)
     signal.signal(signal.SIGINT, ask)
+    if given.while_open:
+        # A signal could come before this process has a handler for it.
+        threading.Thread(target=until_closed, daemon=True).start()
     parent = os.getppid()
     try:
         follow(

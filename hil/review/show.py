@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.files import replacing, utf8_path
-from hil.review.follower import follow, write_review
+from hil.review.follower import follow
 from hil.review.rerun_io import Camera
 from hil.review.viewer import Viewer, ViewerError, open_viewer
 
@@ -21,38 +21,40 @@ _log = logging.getLogger(__name__)
 
 @dataclass(slots=True)
 class Follower:
-    """Process that follows a journal into `rrd` and into a viewer, if one opened."""
+    """Process that follows a journal into a Rerun file and into a viewer, if one opened."""
 
     process: subprocess.Popen[bytes]
-    journal: Path
-    rrd: Path
     viewer: Viewer | None
 
-    def finish(self) -> None:
-        """Let it send all committed rows and close the file; the viewer stays open for the operator."""
-        if self.process.poll() is None:
-            self.process.terminate()
+    def finish(self) -> bool:
+        """Let it send all committed rows and close the file; return True if that is complete.
+
+        The viewer stays open for the operator.
+        """
+        assert self.process.stdin is not None
+        self.process.stdin.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
             if self.process.wait(timeout=_FINISH_TIMEOUT_S) == 0:
-                return
+                return True
         self.process.kill()
         self.process.wait()
-        _log.warning("the live review failed; %s is rebuilt from the journal", self.rrd)
-        write_review(self.journal, self.rrd)
+        return False
 
 
-def start_follower(journal: Path, rrd: Path) -> Follower:
-    """Open a viewer and start the process that feeds it; without a viewer only the file is written."""
+def start_follower(journal: Path, rrd: Path, *, show: bool = True) -> Follower:
+    """Start the process that writes a review, and a viewer that it feeds if `show`; without one it writes the file."""
     viewer = None
     try:
-        viewer = open_viewer()
+        viewer = open_viewer() if show else None
     except ViewerError as error:
         _log.warning("%s; the review is written to %s only", error, rrd)
-    command = [sys.executable, "-m", "hil.review", "follow", str(journal), "--rrd", str(rrd)]
+    command = [sys.executable, "-m", "hil.review", "follow", str(journal), "--rrd", str(rrd), "--while-open"]
     command += ["--viewer", viewer.url] if viewer is not None else []
     # In its own session: Ctrl-C belongs to the engine, and its last ticks are still shown.
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
-    return Follower(process, journal, rrd, viewer)
+    # Without a viewer it says nothing: where it fails, the run makes the file from the journal and tells why not.
+    errors = None if show else subprocess.DEVNULL
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=errors, start_new_session=True)
+    return Follower(process, viewer)
 
 
 def follow_review(journal: Path) -> None:

@@ -25,6 +25,7 @@ from hil.diagnosis.live import (
 )
 from hil.diagnosis.store import has_diagnosis
 from hil.journal.writer import Header, JournalReader, JournalWriter
+from hil.review import read_columns, read_words
 from hil.run.session.interrupted_run import request_of
 from hil.run.session.manifest import settings_of
 from hil.run.session.request import RunRequest
@@ -224,6 +225,13 @@ def test_a_run_tells_what_its_twin_lacks_and_every_tick_is_there(ran):
     assert any("effect found" in text and "modules give off" in text and "since 30 min" in text for text in told)
     assert ran.read_manifest()["diagnosis"] == "effect found"
     assert has_diagnosis(ran.diagnosis) and (ran.diagnosis / "diagnosis.html").is_file()
+
+
+def test_the_review_that_is_written_beside_the_last_diagnosis_has_every_tick_and_the_effect(ran):
+    assert len(read_columns(ran.review, "/status")[0]) == int(LAST_S / PERIOD_S) + 1
+    ((onset_s, says),) = read_words(ran.review, "/diagnosis/onsets")
+    assert onset_s == pytest.approx(1800.0, abs=120.0) and "modules give off" in str(says)
+    assert ran.read_manifest()["missing"] == {} and list(ran.path.glob("*.part")) == []
 
 
 def test_what_was_adopted_is_a_revision_of_the_runs_twin(ran):

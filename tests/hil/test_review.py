@@ -303,9 +303,19 @@ def test_a_follower_without_a_viewer_still_writes_the_file(
     journal, rrd = tmp_path / "journal.sqlite", tmp_path / "review.rrd"
     write(journal, truth)
     follower = start_follower(journal, rrd)
-    follower.finish()
+    assert follower.finish()
     assert follower.viewer is None
     assert len(read_columns(rrd, "/status")[0]) == TICKS
+
+
+def test_a_follower_that_fails_leaves_no_file_and_says_so_to_its_caller_alone(
+    tmp_path: Path, truth: Truth, capfd: pytest.CaptureFixture[str]
+) -> None:
+    write(tmp_path / "journal.sqlite", truth)
+    follower = start_follower(tmp_path / "journal.sqlite", tmp_path / "moved" / "review.rrd", show=False)
+    assert not follower.finish()
+    assert [path.name for path in tmp_path.iterdir()] == ["journal.sqlite"]
+    assert capfd.readouterr().err == ""
 
 
 def test_a_missing_journal_is_one_sentence_and_leaves_nothing(tmp_path: Path) -> None:

@@ -21,7 +21,14 @@ from hil.run.session.derived_files import REPORT, REVIEW, DerivedFiles, derive_f
 from hil.run.session.manifest import RUN_UID, end_entries
 from hil.run.session.request import RunInputs, RunRequest
 from hil.run.session.rig_time import rig_and_clock
-from hil.run.session.services import Publishers, guard_of, live_review, start_diagnosis, start_tracking
+from hil.run.session.services import (
+    Publishers,
+    guard_of,
+    prepare_pages,
+    run_review,
+    start_diagnosis,
+    start_tracking,
+)
 from hil.run_folder import RunFolder
 from hil.testing import live_watch
 from hil.tracking import STATIC, Adoption, Comparison, Tracking
@@ -143,7 +150,7 @@ async def _run_in(run: PreparedRun) -> RunResult:
         live = start_diagnosis(request, folder, journal, announce)
         if live is not None:
             stack.push_async_callback(live.close)
-        follower = await stack.enter_async_context(live_review(request, folder, announce))
+        review = await stack.enter_async_context(run_review(request, folder, announce))
         engine = Engine(
             connection,
             clock,
@@ -171,6 +178,8 @@ async def _run_in(run: PreparedRun) -> RunResult:
         last = None if live is None else asyncio.ensure_future(live.finish(folder.diagnosis))
         if last is not None:
             stack.callback(last.cancel)
+            if request.report:
+                await prepare_pages(review)
         comparison = None if tracking is None else await _unless_interrupted(tracking.finish(), run)
         outcome.problems.extend(tracking.failures if tracking is not None else ())
         wall_s = loop.time() - began
@@ -196,7 +205,7 @@ async def _run_in(run: PreparedRun) -> RunResult:
     # Pages that an earlier segment left would lack this one, so they are made anew.
     pages = () if request.report else ((REVIEW, folder.review), (REPORT, folder.report))
     unwanted = {name for name, path in pages if not path.is_file()}
-    if follower and folder.review.is_file():
+    if review.complete:
         unwanted.add(REVIEW)
     derived = derive_files(folder, manifest, announce, there=unwanted, signals=run.signals)
     duration_s = outcome.ticks * clock.period_s
@@ -206,7 +215,7 @@ async def _run_in(run: PreparedRun) -> RunResult:
         comparison,
         duration_s,
         wall_s,
-        follower,
+        review.shown,
         reply,
         derived.adopted,
         derived.gates,

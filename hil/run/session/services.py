@@ -12,6 +12,7 @@ from drivers.rig_file import Rig
 from hil.diagnosis import LiveConfig, LiveDiagnosis, commissioned_on
 from hil.guardian import Guard, GuardianClient, NoGuard
 from hil.journal import JournalWriter
+from hil.review import Follower
 from hil.run.engine import Publisher
 from hil.run.locks import RigClaim
 from hil.run.session.request import RunInputs, RunRequest, tracking_config
@@ -55,26 +56,55 @@ def start_diagnosis(
     return live
 
 
+@dataclass(slots=True)
+class RunReview:
+    """Review of a run by a process of its own: `shown` in a viewer, `complete` when it has been closed in order."""
+
+    folder: RunFolder
+    shown: bool = False
+    complete: bool = False
+    _follower: Follower | None = None
+
+    async def start(self, *, show: bool) -> None:
+        """Start that process, unless it runs already, and a viewer that it feeds if `show`."""
+        from hil.review import start_follower
+
+        if self._follower is None:
+            self.shown = show
+            self._follower = await asyncio.to_thread(start_follower, self.folder.journal, self.folder.review, show=show)
+
+    async def close(self) -> None:
+        """Let the process write the rest."""
+        if self._follower is not None:
+            self.complete = await asyncio.to_thread(self._follower.finish)
+
+
 @contextlib.asynccontextmanager
-async def live_review(request: RunRequest, folder: RunFolder, announce: Callable[[str], None]) -> AsyncIterator[bool]:
-    """Open a viewer that follows the journal, if there is a display or the request asks for it; yield True if it
-    runs."""
+async def run_review(
+    request: RunRequest, folder: RunFolder, announce: Callable[[str], None]
+) -> AsyncIterator[RunReview]:
+    """Give the review of a run, with a viewer if there is a display or the request asks for it; close it at the end."""
+    review = RunReview(folder)
     wanted = request.viewer
     if wanted is None:
         from hil.review import has_display  # its import takes half a second, which a run without a viewer saves
 
         wanted = has_display()
-    if not wanted:
-        yield False
-        return
-    from hil.review import start_follower
-
-    announce("opening Rerun")
-    follower = await asyncio.to_thread(start_follower, folder.journal, folder.review)
+    if wanted:
+        announce("opening Rerun")
+        await review.start(show=True)
     try:
-        yield True
+        yield review
     finally:
-        await asyncio.to_thread(follower.finish)
+        await review.close()
+
+
+async def prepare_pages(review: RunReview) -> None:
+    """Write the review and load the libraries of the report, beside the diagnosis that all of them wait for."""
+    from hil.report import load_libraries
+
+    await review.start(show=False)
+    await asyncio.to_thread(load_libraries)
 
 
 def guard_of(request: RunRequest, folder: RunFolder, claim: RigClaim, rig: Rig) -> Guard:
