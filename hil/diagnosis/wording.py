@@ -112,15 +112,13 @@ def left_out(document: dict[str, Any]) -> str:
     blocks = [b["gain"] for b in document.get("left_out") or () if b["gain"] is not None]
     if not blocks:
         return ""
-    off = worse(document)
+    off, claimed = worse(document), document["verdict"] in ("effect found", "ambiguous")
+    if off and claimed:
+        return "The held-out segment does not test the answer: there it predicts less than the usual error of health."
     if off:
         return f"On the held-out segment, {off}: the answer does not predict it, whatever its gain in cross-validation."
     won = sum(gain > 0.0 for gain in blocks)
-    subject = (
-        "the effects predict"
-        if document["verdict"] in ("effect found", "ambiguous")
-        else "the best effect tried predicts"
-    )
+    subject = "the effects predict" if claimed else "the best effect tried predicts"
     if len(document["effects"]) == 1:
         subject = subject.replace("the effects predict", "the effect predicts")
     parts = "groups of states" if at_rest(document) else "folds"

@@ -75,6 +75,7 @@ def test_an_answer_that_the_held_out_part_contradicts_is_withdrawn(bench: Bench)
     # Where the rig moves more, its twin is usually off by more.
     assert not contradicted({one: off(0.5, 0.4, usual=0.3)}, network)
     assert contradicted({one: off(0.5, 0.4, usual=0.2)}, network)
+    assert not contradicted({one: off(0.5, 0.4, usual=0.2, moved=0.1)}, network)  # no more than the usual error
 
 
 def test_what_shows_in_the_held_out_part_alone_is_found(brisk: Bench, brisk_healthy: Columns) -> None:

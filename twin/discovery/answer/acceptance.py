@@ -31,7 +31,7 @@ def accepted(case: AssessedFinding) -> bool:
 
 def effect_on_a_bound(case: AssessedFinding) -> Entry | None:
     """Return an effect of the answer that ends on a bound of what its place can have; None if there is none."""
-    return next((e for e in case.finding.entries if e.candidate.at_bound(e.size)), None)
+    return next((e for e in case.finding.entries if e.on_bound), None)
 
 
 def adequate(case: AssessedFinding) -> bool:

@@ -60,6 +60,10 @@ class Shape:
         """Return the mean amplitude between two times, s."""
         return float(self.block_means(np.array([low_s, max(high_s, low_s + 1e-3)]))[0])
 
+    def reached(self, span_s: float) -> float:
+        """Return the amplitude at the end of a record of `span_s`."""
+        return self.mean(span_s - 1.0, span_s)
+
     def going_on(self, span_s: float) -> Shape:
         """Return the shape without an end if it still rises or is still present when a record of `span_s` ends.
 

@@ -34,11 +34,12 @@ KEPT = 4
 def contradicted(found: Mapping[str, SensorError], network: Network) -> bool:
     """Return True if an answer has a large error, and most of the re-tuned twin's squares remain where it acts.
 
-    A sensor's weight is the square of the difference, in noise, that the answer predicts there beyond re-tuning. Model
-    error of a lumped twin at other sensors under a new load does not count. An answer that predicts no difference above
-    the noise is not contradicted.
+    A sensor's weight is the square of the difference that the answer predicts there beyond re-tuning, in the usual
+    error of health, which is noise where no healthy record shows more. Model error of a lumped twin at other sensors
+    under a new load does not count. An answer that predicts no difference above the usual error, such as one whose
+    effect has passed, is not contradicted.
     """
-    weights = {name: (e.moved / e.noise) ** 2 for name, e in found.items()}
+    weights = {name: (e.moved / max(e.noise, e.usual)) ** 2 for name, e in found.items()}
     if sum(weights.values()) < len(found):
         return False
     before, after = (sum(w * (found[n].means[k] / found[n].noise) ** 2 for n, w in weights.items()) for k in (1, 2))

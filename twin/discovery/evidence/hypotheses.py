@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.discovery.effects.laws import CandidateLaw
-from twin.discovery.evidence.priors import CLAIM, FAULT, KINDS, UNLISTED, law_weight
+from twin.discovery.evidence.priors import CLAIM, FAULT, KINDS, UNLISTED, law_weight, sign_weight
 from twin.discovery.evidence.scan import logsumexp
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.scoring.search import Entry
@@ -105,8 +105,8 @@ class Prior:
         self._total = sum(KINDS.get(kind, 0.5) for kind, _ in classes)
 
     def of(self, entry: Entry) -> float:
-        """Return the log probability of an effect, apart from its time course and size."""
-        return math.log(FAULT) + self.share(entry.candidate)
+        """Return the log probability of an effect with its sign, apart from its time course and size."""
+        return math.log(FAULT) + self.share(entry.candidate) + math.log(sign_weight(entry))
 
     def share(self, candidate: Candidate) -> float:
         """Return the log probability that a fault is one of this law."""

@@ -59,6 +59,9 @@ Judgements."""
 FILLED_IN = 0.2
 """Probability that water is filled in at a place, relative to heat there. A judgement: a loop is closed but for its
 refills, and heat has many causes."""
+TAKES_UP = 0.05
+"""Probability that heat which follows no temperature is taken up instead of given off, where a law admits both. A
+judgement: heat leaves by itself along a difference of temperatures only, which is a loss, and else needs a chiller."""
 
 
 def is_filled_in(candidate: Candidate) -> bool:
@@ -69,6 +72,14 @@ def is_filled_in(candidate: Candidate) -> bool:
 def law_weight(candidate: Candidate) -> float:
     """Return the probability of a law in its class, relative to a constant one."""
     return DRIVERS.get(candidate.driver, 1.0) * (FILLED_IN if is_filled_in(candidate) else 1.0)
+
+
+def sign_weight(entry: Entry) -> float:
+    """Return the probability of the sign of an effect's size, relative to that of both signs being equally likely."""
+    c = entry.candidate
+    if c.kind != "heat_source" or c.driver == "temperature" or not c.lower < 0.0 < c.upper:
+        return 1.0
+    return 2.0 * (TAKES_UP if entry.size < 0.0 else 1.0 - TAKES_UP)
 
 
 def plausibility(entry: Entry) -> float:

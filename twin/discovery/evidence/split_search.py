@@ -310,7 +310,7 @@ def _of_possible_sizes(found: Found) -> Hypothesis | None:
 
 
 def _on_a_bound(h: Hypothesis) -> bool:
-    return any(e.candidate.at_bound(e.size) for e in h.entries)
+    return any(e.on_bound for e in h.entries)
 
 
 def with_fewer_effects(best: Hypothesis, hypotheses: Sequence[Hypothesis], enough: float) -> list[Hypothesis]:

@@ -19,6 +19,7 @@ from twin.discovery.refit.stepping import LeastSquaresProblem, minimise
 from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
+from twin.elements.candidates import Candidate
 from twin.network import Array
 from twin.segments import separate_columns
 
@@ -80,8 +81,10 @@ def fit(score_test: ScoreTest, model: Model, state: Array, moved: Array | None =
     hours, last_h = grid.step_s / 3600.0, grid.span_s / 3600.0
     low, high = np.full(count, -20.0), np.full(count, 20.0)
     low[:q], high[:q] = scaling.to_z(scaling.lower) - z0, scaling.to_z(scaling.upper) - z0
-    low[q + k : first_time] = [x.candidate.lower for x in entries]
-    high[q + k : first_time] = [x.candidate.upper for x in entries]
+    # A place holds what an effect comes to within the record, not what a ramp that goes on comes to after it.
+    most = np.array([x.shape.reached(grid.span_s) if x.shape.name == "ramp" else 1.0 for x in entries])
+    low[q + k : first_time] = [x.candidate.lower for x in entries] / most
+    high[q + k : first_time] = [x.candidate.upper for x in entries] / most
     # Onsets are in hours, growth times in the logarithm of hours.
     low[first_time:first_growth], high[first_time:first_growth] = 0.0, LAST_SHARE * last_h
     low[first_growth:] = [np.log((grid.step_s if entries[i].shape.name in TIMED else GROWN_S) / 3600.0) for i in grown]
@@ -168,12 +171,19 @@ def fit(score_test: ScoreTest, model: Model, state: Array, moved: Array | None =
     onset_sd[timed] = sd[first_time:first_growth] * 3600.0
     for i in (i for i, x in enumerate(entries) if x.shape.grows):
         # Size, onset and growth of what has not ended growing are not told from one another; what they come to is.
-        reached = np.array([_reached(shapes_at(row)[i], grid.span_s) for row in (v, *(v + np.diag(steps)))])
+        reached = np.array([shapes_at(row)[i].reached(grid.span_s) for row in (v, *(v + np.diag(steps)))])
         slope = v[q + k + i] * (reached[1:] - reached[0]) / steps
         slope[q + k + i] = reached[0]
         size_sd[i] = math.sqrt(max(float(slope @ covariance @ slope), 0.0)) / max(reached[0], 1e-9)
     fitted = tuple(
-        replace(x, size=float(v[q + k + i]), sd=float(size_sd[i]), shape=shapes[i], onset_sd_s=float(onset_sd[i]))
+        replace(
+            x,
+            size=float(v[q + k + i]),
+            sd=float(size_sd[i]),
+            shape=shapes[i],
+            onset_sd_s=float(onset_sd[i]),
+            on_bound=_on_bound(x.candidate, float(v[q + k + i]), float(most[i])),
+        )
         for i, x in enumerate(entries)
     )
     fitted = tuple(_going_on(x, grid.span_s) for x in fitted)
@@ -221,9 +231,11 @@ def look_at(score_test: ScoreTest, model: Model, found: Fit) -> None:
     score_test.look_at(FreeRun(readings, readings), found.moved)
 
 
-def _reached(shape: Shape, span_s: float) -> float:
-    """Return the amplitude at the end of a record."""
-    return shape.mean(span_s - 1.0, span_s)
+def _on_bound(candidate: Candidate, size: float, most: float) -> bool:
+    """Return True for a size on a bound of what its place can have, where a ramp comes to `most` of its size."""
+    if size <= candidate.lower / most:
+        return candidate.at_bound(candidate.lower)
+    return size >= candidate.upper / most and candidate.at_bound(candidate.upper)
 
 
 def _going_on(entry: Entry, span_s: float) -> Entry:

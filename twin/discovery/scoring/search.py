@@ -34,6 +34,7 @@ class Entry:
 
     `sd` of a growing effect is that of its size at the record's end. `log_bayes` is its log Bayes factor over no
     effect, averaged over onsets by their prior, and `log_occam` the logarithm of that average over its maximum.
+    `on_bound` is True for a size that a fit left on a bound of what its place can have.
     """
 
     law: CandidateLaw
@@ -45,6 +46,7 @@ class Entry:
     onset_sd_s: float = 0.0
     log_bayes: float = 0.0
     log_occam: float = 0.0
+    on_bound: bool = False
 
     @property
     def candidate(self) -> Candidate:
