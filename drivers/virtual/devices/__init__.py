@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from drivers.virtual.devices.rtu_protocol import crc
     from drivers.virtual.devices.socketcand import CanConnection, CanHub, frame_text
     from drivers.virtual.devices.supervision import end_with_parent, listen, port_of, say
-    from drivers.virtual.devices.truth import Moment, read_truth
+    from drivers.virtual.devices.truth import Moment, last_moment, read_truth
 
 __all__ = [
     "DEVICE_ID",
@@ -61,6 +61,7 @@ __all__ = [
     "crc",
     "end_with_parent",
     "frame_text",
+    "last_moment",
     "listen",
     "port_of",
     "read_truth",
@@ -105,6 +106,7 @@ __getattr__, __dir__ = lazy_names(
         ),
         "truth": (
             "Moment",
+            "last_moment",
             "read_truth",
         ),
     },

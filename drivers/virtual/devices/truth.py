@@ -6,6 +6,7 @@ compare with this file, not with the harness's own record. Times are Unix times 
 
 from __future__ import annotations
 
+import os
 import struct
 import time
 from pathlib import Path
@@ -71,3 +72,17 @@ def read_truth(path: Path) -> list[Moment]:
     data = path.read_bytes()
     whole = len(data) - len(data) % _RECORD.size
     return [Moment._make((*fields[:9], fields[9:])) for fields in _RECORD.iter_unpack(data[:whole])]
+
+
+def last_moment(path: Path) -> Moment | None:
+    """Return the last whole record of a file, None where there is none yet; raise OSError.
+
+    Its cost does not grow with the file, as that of `read_truth` does.
+    """
+    with path.open("rb") as file:
+        count = file.seek(0, os.SEEK_END) // _RECORD.size
+        if count == 0:
+            return None
+        file.seek((count - 1) * _RECORD.size)
+        fields = _RECORD.unpack(file.read(_RECORD.size))
+    return Moment._make((*fields[:9], fields[9:]))

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from drivers.virtual import start_virtual_rig
-from drivers.virtual.devices import read_truth
+from drivers.virtual.devices import last_moment
 from drivers.virtual.faults import FaultyLink, can_frames, modbus_frames
 from hil.bench.chaos.clock import SteppedClock
 from hil.bench.chaos.device import LyingDevice
@@ -161,7 +161,7 @@ async def set_chaos_stage(
         await stack.enter_async_context(plc)
         await stack.enter_async_context(can)
         await prepare(rig.modbus_port)
-        while not (moments := read_truth(truth)) or moments[-1].fan_pct < FANS_PCT:  # noqa: ASYNC110
+        while (now := last_moment(truth)) is None or now.fan_pct < FANS_PCT:  # noqa: ASYNC110
             await asyncio.sleep(LOOK_EVERY_S)
         text = chaos_rig_text({"plc": plc.port, "thermocouples": can.port}, watchdog=watchdog)
         (place / "rig.toml").write_text(text, encoding="utf-8")

@@ -12,6 +12,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from drivers.virtual.devices import last_moment
 from hil.bench.faults import judge
 from hil.bench.faults.kinds import MENDED_AFTER_S, FaultKind
 from hil.bench.faults.places import take_places_out
@@ -127,6 +128,9 @@ async def _act(kind: FaultKind, stage: Stage) -> None:
 
 
 def _after(stage: Stage, rig_s: float) -> float | None:
+    now = last_moment(stage.truth)
+    if now is None or now.rig_s < rig_s - 1e-6:
+        return None
     return next((moment.wall_s for moment in stage.moments() if moment.rig_s >= rig_s - 1e-6), None)
 
 

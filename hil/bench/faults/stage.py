@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from drivers.virtual import VirtualRig, start_virtual_rig
-from drivers.virtual.devices import Moment, read_truth
+from drivers.virtual.devices import Moment, last_moment, read_truth
 from drivers.virtual.faults import FaultyLink, as_it_comes, can_frames, modbus_frames
 from drivers.virtual.plant import CHANNELS
 from hil.bench.faults import judge
@@ -134,8 +134,8 @@ class Stage:
             self.disk.clear()
 
         def mended() -> bool:
-            now = self.moments()[-1]
-            return now.rig_s >= rig_s and now.fan_pct >= FANS_PCT
+            now = last_moment(self.truth)
+            return now is not None and now.rig_s >= rig_s and now.fan_pct >= FANS_PCT
 
         await self.until(mended, rig_s + SPIN_UP_S)
 
@@ -166,8 +166,8 @@ class Stage:
     @property
     def heater_W(self) -> float:
         """Return the present power of the heater."""
-        moments = self.moments()
-        return moments[-1].heater_W if moments else 0.0
+        now = last_moment(self.truth)
+        return 0.0 if now is None else now.heater_W
 
     async def until(self, condition: Callable[[], bool], seconds: float) -> bool:
         """Wait for `condition`, and read the journal meanwhile; return True if it came true in time."""
@@ -216,7 +216,7 @@ async def set_stage(case: FaultCase, generator: random.Random, place: Path, onse
         await stack.enter_async_context(plc)
         await stack.enter_async_context(can)
         await prepare(rig.modbus_port, None if certificates is None else certificates.context())
-        while not (moments := read_truth(truth)) or moments[-1].fan_pct < FANS_PCT:  # noqa: ASYNC110
+        while (now := last_moment(truth)) is None or now.fan_pct < FANS_PCT:  # noqa: ASYNC110
             await asyncio.sleep(LOOK_EVERY_S)
         ports = {"plc": plc.port, "thermocouples": can.port}
         text = rig_text(ports, None if certificates is None else certificates.harness)
