@@ -1,13 +1,11 @@
 """`hil diagnose` as a user types it, on records of the virtual rig.
 
-The first diagnosis is a process of its own; what is asked after that is not.
+The course of tests/hil/test_start.py diagnoses in a process of its own.
 """
 
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -37,11 +35,6 @@ def beginning(load: Path, hours: float) -> str:
     kept = [row for row in rows if float(row.split(",")[0]) < 3600.0 * hours]
     last = ",".join([f"{3600.0 * hours:g}", *kept[-1].split(",")[1:]])
     return "\n".join([names, *kept, last, ""])
-
-
-def hil(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "hil", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=PROJECT, timeout=280)
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +67,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_undeclared_heat_is_found_added_and_the_twin_is_right_again(runs: dict[str, Path]) -> None:
     record, twin = runs["heated"] / "record.parquet", runs["twin"]
     out = runs["place"] / "found"
-    done = hil("diagnose", record, "--twin", twin, "--out", out, "--json")
+    done = typed("diagnose", record, "--twin", twin, "--out", out, "--json")
     assert done.returncode == 1, done.stderr  # something was found
     printed = json.loads(done.stdout)
     assert printed["healthy"] == str(twin.with_name("rig.healthy.parquet"))  # kept by the commissioning
