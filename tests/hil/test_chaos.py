@@ -36,8 +36,7 @@ SEED = 20_261
 ATTACKS = (
     ("harness killed",),
     ("stopped and continued",),
-    ("Ctrl-S",),
-    ("journal locked",),
+    ("journal locked", "Ctrl-S"),
     ("folder deleted",),
     ("reader gone", "abort, odd reason"),
     ("guardian killed",),

@@ -93,7 +93,7 @@ def test_a_generated_folder_has_its_splits_and_is_not_made_twice(twenty):
 def test_workers_simulate_the_same_windows_and_go_on_with_what_is_there(twenty, tmp_path):
     pytest.importorskip("distributed")
     assert data.generate(3, 20, tmp_path, None, After(3)) is None
-    with opened(ExecutorOptions(workers=2), lambda message: None) as executor:
+    with opened(ExecutorOptions(workers=1), lambda message: None) as executor:
         assert data.generate(3, 20, tmp_path, None, After(1), executor) is None  # it is stopped while they work
     with opened(ExecutorOptions(workers=2), lambda message: None) as executor:
         store = data.generate(3, 20, tmp_path, None, None, executor)
