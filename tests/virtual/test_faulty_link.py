@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.virtual.devices.truth import read_truth
+from drivers.virtual.devices.truth import last_moment, read_truth
 from drivers.virtual.faults import faulty_replies as replies
 from drivers.virtual.faults.faulty_link import FaultyLink, can_frames, modbus_frames
 from drivers.virtual.rig import start_virtual_rig
@@ -173,8 +173,14 @@ async def test_the_rig_keeps_its_own_truth_and_a_reboot_forgets_everything(tmp_p
         for each in (writer, writer2, commands):
             each.close()
     moments = read_truth(path)
+    assert last_moment(path) == moments[-1]
     assert len(moments) > 10
     assert all(a.wall_s <= b.wall_s and a.rig_s <= b.rig_s for a, b in zip(moments, moments[1:], strict=False))
+    with path.open("ab") as file:
+        file.write(bytes(100))  # the beginning of a record that is being written
+    assert last_moment(path) == moments[-1]
+    path.write_bytes(b"")
+    assert last_moment(path) is None
 
 
 async def test_a_reply_that_pymodbus_cannot_decode_is_a_lost_link_and_no_traceback(caplog):
