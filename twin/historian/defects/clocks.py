@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.historian.defects.clock_changes import ByChange, clock_changes, second_pass
-from twin.historian.defects.panel import on_grid
+from twin.historian.defects.panel import on_grid, upper_quartile
 from twin.historian.defects.silence import LEAST_TAGS, Group
 from twin.historian.tags import Array, Defect, Series
 
@@ -313,9 +313,9 @@ class _Correlations:
         self._set(columns, np.stack([_changes(self.usable[int(column)], stamps) for column in columns]))
 
     def _set(self, columns: NDArray[np.int_], reference: Array) -> None:
+        courses = [_Course(one, self.grid, self.candidates) for one in self.usable]
         for at, shift in enumerate(self.candidates):
-            stamps = shift.to_stamp(self.grid)
-            moved = np.stack([_changes(one, stamps) for one in self.usable])
+            moved = np.stack([one.changes(shift) for one in courses])
             self.value[at][:, columns], self.close[at][:, columns] = _correlations(moved, reference)
 
     def together(self) -> list[tuple[int, ...]]:
@@ -433,17 +433,40 @@ def _vote(best: Array, zones: int) -> int | None:
     return 1 if zones and best[1] > best[order] - 0.5 * MARGIN else order
 
 
+class _Course:
+    """Changes of a tag at the stamps that times `grid` have by some clocks.
+
+    Clocks that differ by whole steps of the grid have most of their stamps in common: the tag is read once at all.
+    """
+
+    def __init__(self, series: Series, grid: Array, shifts: Sequence[Shift]) -> None:
+        self.series, self.grid = series, grid
+        added = [one.add_s for one in shifts if one.zone is None]
+        self.first_s, last_s = float(grid[0]) - max(added), float(grid[-1]) - min(added)
+        self.values = on_grid(series, np.arange(self.first_s, last_s + 0.5 * STEP_S, STEP_S))
+
+    def changes(self, shift: Shift) -> Array:
+        """Return the bounded changes (m,) by one of the clocks."""
+        if shift.zone is not None:
+            return _changes(self.series, shift.to_stamp(self.grid))
+        first = round((float(self.grid[0]) - shift.add_s - self.first_s) / STEP_S)
+        return _bounded_changes(self.values[first : first + len(self.grid)])
+
+
 def _changes(series: Series, stamps: Array) -> Array:
     """Return bounded changes over half an hour (m,), standardised; 0 where unknown."""
-    x = on_grid(series, stamps)
+    return _bounded_changes(on_grid(series, stamps))
+
+
+def _bounded_changes(x: Array) -> Array:
     change = np.zeros(len(x))
     change[CHANGE_STEPS:] = x[CHANGE_STEPS:] - x[:-CHANGE_STEPS]
-    change = np.where(np.isfinite(change), change, 0.0)
+    change[~np.isfinite(change)] = 0.0
     size = np.abs(change[change != 0.0])
     if len(size) == 0:
         return change
-    limit = 3.0 * float(np.quantile(size, 0.75))  # so that a start-up does not weigh like a week
-    change = np.clip(change, -limit, limit)
+    limit = 3.0 * upper_quartile(size)  # so that a start-up does not weigh like a week
+    change = np.minimum(np.maximum(change, -limit), limit)
     change -= change.mean()
     scale = float(np.sqrt((change**2).mean()))
     return np.asarray(change / scale if scale > 0.0 else change)

@@ -168,6 +168,18 @@ def known_median(values: Array) -> float:
     return _median(known) if len(known) else np.nan
 
 
+def upper_quartile(values: Array) -> float:
+    """Return the quantile 0.75 of numbers (m,), m > 0, as `np.quantile` does, which takes twice as long for some
+    thousand."""
+    at = 0.75 * (len(values) - 1)
+    low = int(at)
+    share, high = at - low, min(low + 1, len(values) - 1)
+    parted = np.partition(values, (low, high))
+    step = float(parted[high]) - float(parted[low])
+    # The form of the interpolation that `np.quantile` takes, to the last digit.
+    return float(parted[high]) - step * (1.0 - share) if share >= 0.5 else float(parted[low]) + step * share
+
+
 def largest_sum(gain: Array) -> tuple[int, int, float]:
     """Return begin, end (exclusive) and value of the run with the largest sum (Kadane's algorithm)."""
     total = np.concatenate([[0.0], np.cumsum(gain)])

@@ -44,48 +44,88 @@ class Edge:
     into: bool
 
 
-def unit_edges(series: Series, own: Unit, unit: Unit) -> list[Edge]:
+class TagLevels:
+    """Levels of a tag on either side of each of its steps, which all of its units share."""
+
+    def __init__(self, series: Series) -> None:
+        self.series = series
+        self._found: dict[bool, _Levels | None] = {}
+
+    def of(self, *, ratio: bool) -> _Levels | None:
+        """Return the levels, or of a `ratio` those of logarithms of values at work; None of few samples."""
+        if ratio not in self._found:
+            self._found[ratio] = _Levels.of(self.series, ratio=ratio)
+        return self._found[ratio]
+
+
+@dataclass(frozen=True)
+class _Levels:
+    """Samples `x (n,)`, and by the width of the medians the levels before and after each step (n - 1,).
+
+    Of each width also the size of the steps, the deviation of the usual ones, and `stretch`, by which a step across a
+    longer interval may be larger.
+    """
+
+    time_s: Array
+    x: Array
+    stretch: Array
+    tried: tuple[tuple[int, Array, Array, Array, float], ...]
+
+    @classmethod
+    def of(cls, series: Series, *, ratio: bool) -> _Levels | None:
+        time_s, x = series.time_s, series.value
+        if ratio:
+            rows = _not_at_rest(x)
+            time_s, x = time_s[rows], np.log(x[rows])
+        if len(x) < AROUND:
+            return None
+        apart = np.diff(time_s)
+        stretch = np.sqrt(np.maximum(apart / max(float(np.median(apart)), 1e-9), 1.0))
+        tried = []
+        for width in WIDTHS:
+            level = median_filter(x, size=width, mode="nearest")
+            before = level[np.maximum(np.arange(len(x) - 1) - width // 2, 0)]
+            after = level[np.minimum(np.arange(1, len(x)) + width // 2, len(x) - 1)]
+            size = np.abs(after - before)
+            tried.append((width, before, after, size, max(float(np.quantile(size, USUAL)) / NORMAL90, 0.0)))
+        return cls(time_s, x, stretch, tuple(tried))
+
+
+def unit_edges(levels: TagLevels, own: Unit, unit: Unit) -> list[Edge]:
     """Return the jumps of a tag from the unit `own` to `unit`, and back.
 
     Parameters
     ----------
-    series
-        Good samples of the tag, in the unit `own`.
+    levels
+        Of the good samples of the tag, in the unit `own`.
     own, unit
         Unit of the dictionary and the one that the tag may change to.
     """
     ratio = own.offset == 0.0 and unit.offset == 0.0
-    time_s, x = series.time_s, series.value
-    if ratio:
-        rows = _not_at_rest(x)
-        time_s, x = time_s[rows], np.log(x[rows])
-    if len(x) < AROUND:
+    known = levels.of(ratio=ratio)
+    if known is None:
         return []
-    apart = np.diff(time_s)
-    stretch = np.sqrt(np.maximum(apart / max(float(np.median(apart)), 1e-9), 1.0))
-    tried = []
-    for width in WIDTHS:
-        level = median_filter(x, size=width, mode="nearest")
-        before = level[np.maximum(np.arange(len(x) - 1) - width // 2, 0)]
-        after = level[np.minimum(np.arange(1, len(x)) + width // 2, len(x) - 1)]
-        tried.append((width, _both_ways(before, after, own, unit, ratio), np.abs(after - before)))
+    x, ways = known.x, [_both_ways(before, after, own, unit, ratio) for _, before, after, _, _ in known.tried]
     found: list[Edge] = []
     for way in (0, 1):
         best = np.full(len(x) - 1, -np.inf)
         where = np.arange(len(x) - 1)
-        for width, ways, size in tried:
-            off, jump = ways[way]
-            usual = max(float(np.quantile(size, USUAL)) / NORMAL90, 0.0)
-            scale = np.maximum(usual * stretch, ROUNDED * np.maximum(jump, 1e-12))
+        for (width, _, _, size, usual), both in zip(known.tried, ways, strict=True):
+            off, jump = both[way]
+            scale = np.maximum(usual * known.stretch, ROUNDED * np.maximum(jump, 1e-12))
+            near = (np.abs(off) < np.maximum(FAR * scale, NEAR * jump)) & (jump > FAR * scale)
+            if not near.any():
+                continue
             often = float((size >= 0.5 * np.median(jump)).sum()) / width - 2.0
+            rows = np.flatnonzero(near)
+            wide, leap = scale[rows] ** 2, jump[rows] ** 2
             # Steps have heavy tails, as Cauchy's distribution has.
-            odds = 0.5 * np.log((scale**2 + jump**2) / (scale**2 + off**2)) - np.log(max(often, 1.0))
-            near = np.abs(off) < np.maximum(FAR * scale, NEAR * jump)
-            odds = np.where(near & (jump > FAR * scale), odds, -np.inf)
+            odds = np.full(len(x) - 1, -np.inf)
+            odds[rows] = 0.5 * np.log((wide + leap) / (wide + off[rows] ** 2)) - np.log(max(often, 1.0))
             if width > 1:
                 where = np.where(odds > best, _at_the_leap(odds, x, width), where)
             best = np.maximum(best, odds)
-        found += _highest(best, where, time_s, into=way == 0)
+        found += _highest(best, where, known.time_s, into=way == 0)
     return found
 
 

@@ -19,7 +19,7 @@ from scipy.stats import norm
 from scipy.stats import t as student_t
 
 from twin.historian.defects.panel import RobustPredictor, TagPanel, design_matrix, known_median, panel
-from twin.historian.defects.unit_edges import Edge, unit_edges
+from twin.historian.defects.unit_edges import Edge, TagLevels, unit_edges
 from twin.historian.tags import Array, Defect, Mask, Series
 from twin.historian.units import Unit, alternatives, full_speed_of, tens, unit_of
 
@@ -247,9 +247,10 @@ def _edges_of(series: Series, full_speed: str) -> list[tuple[str, Unit, list[Edg
         return []
     found = []
     seen: set[tuple[float, float]] = set()
+    levels = TagLevels(series)
     for name, unit in other_units(series, full_speed).items():
         key = (round(float(np.log(unit.scale)), 2), round(unit.offset, 1))
-        if key not in seen and (edges := unit_edges(series, own, unit)):
+        if key not in seen and (edges := unit_edges(levels, own, unit)):
             found.append((name, unit, edges))
             seen.add(key)
     return found
@@ -322,27 +323,31 @@ def _best_span(
     rows = np.array([[np.searchsorted(grid, low), np.searchsorted(grid, high, side="right")] for low, high, _ in pairs])
     edge_odds = np.array([odds for _, _, odds in pairs])
     predict, plain = witnesses.predict, witnesses.plain
-    first = [np.zeros(len(x), dtype=bool)]
-    for at in np.argsort(-edge_odds, kind="stable")[:STARTS]:
-        first.append(_inside(len(x), rows[at]))
+    predictions = {(0, 0): plain}
+
+    def of_rows(first: int, last: int) -> tuple[Array, float]:
+        if (first, last) not in predictions:
+            predictions[first, last] = predict(np.where(_inside(len(x), (first, last)), other, x))
+        return predictions[first, last]
+
+    spans = [(int(first), int(last)) for first, last in rows]
     tried: set[int] = set()
-    for mask in first:
+    for span in [(0, 0), *(spans[at] for at in np.argsort(-edge_odds, kind="stable")[:STARTS])]:
         for _ in range(ROUNDS):
-            predicted, sigma = predict(np.where(mask, other, x)) if mask.any() else plain
+            predicted, sigma = of_rows(*span)
             gain = 0.5 * (((x - predicted) / sigma) ** 2 - ((other - predicted) / sigma) ** 2)
             total = np.concatenate([[0.0], np.cumsum(np.clip(np.nan_to_num(gain), -CAP, CAP))])
             at = int(np.argmax(total[rows[:, 1]] - total[rows[:, 0]] + edge_odds))
-            if np.array_equal(_inside(len(x), rows[at]), mask):
+            if spans[at] == span:
                 break
-            mask = _inside(len(x), rows[at])
+            span = spans[at]
         tried.add(at)
     valid = []
     for at in sorted(tried):
         low, high, odds_of = pairs[at]
         if odds_of < SURE_EDGES and table.series[k].tag.role in UNWITNESSED:
             continue
-        inside = _inside(len(x), rows[at])
-        predicted, _ = predict(np.where(inside, other, x))
+        inside, predicted = _inside(len(x), spans[at]), of_rows(*spans[at])[0]
         odds_of_rows = _judged(x, other, (plain[0], predicted), inside, unit.scale / own.scale, odds_of >= SURE_EDGES)
         total_odds = odds_of + odds_of_rows - float(np.log(len(pairs)))
         if total_odds >= LEAST_ODDS:
@@ -407,7 +412,7 @@ def _log_factor(value: Array, rows: NDArray[np.intp], predict: RobustPredictor) 
     return factor
 
 
-def _inside(n: int, rows: Array) -> Mask:
+def _inside(n: int, rows: tuple[int, int]) -> Mask:
     mask = np.zeros(n, dtype=bool)
     mask[rows[0] : rows[1]] = True
     return mask
