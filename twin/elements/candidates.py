@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ class Candidate:
         """Return True for an event, which never stays."""
         return self.shapes == PASSING
 
-    @property
+    @cached_property
     def id(self) -> str:
         """Return a text that is unique within a catalogue."""
         weights = ",".join(f"{name}*{weight:.4g}" for name, weight in self.changes.items())
