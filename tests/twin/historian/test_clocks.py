@@ -52,7 +52,7 @@ def _moved(members: list[Series], hours: float) -> list[Series]:
     return [replace(one, time_s=one.time_s + 3600.0 * hours) for one in members]
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_right_clock_that_goes_with_a_wrong_one_stays(seed: int) -> None:
     station = _station(np.random.default_rng(seed))
     assert _found(station) == []
@@ -66,7 +66,7 @@ def test_two_wrong_clocks_are_both_corrected() -> None:
     assert sorted(_found(station)) == [("clock_offset", "plc"), ("local_time", "mcc")]
 
 
-@pytest.mark.parametrize("hours", [0.5, -3.5, 5.5, 9.5, -1.0])
+@pytest.mark.parametrize("hours", [0.5, -3.5, 9.5])
 def test_clocks_of_zones_with_half_hours_are_corrected_by_as_much(hours: float) -> None:
     station = _station(np.random.default_rng(15))
     station["plc2"] = _moved(station["plc2"], hours)

@@ -90,9 +90,8 @@ def test_readings_in_another_range_are_left_out_and_those_after_its_end_kept() -
     assert len(inside.time_s) == 0 and len(outlet.between(START_S + (at + 1.0) * DAY_S, np.inf).time_s) > 1000
 
 
-@pytest.mark.parametrize("seed", [72, 73, 74])
-def test_a_clean_store_has_no_change_of_range(seed: int) -> None:
-    assert range_changes(clean_store(np.random.default_rng(seed), 25.0, cells=3)).defects == []
+def test_a_clean_store_has_no_change_of_range() -> None:
+    assert range_changes(clean_store(np.random.default_rng(72), 25.0, cells=3)).defects == []
 
 
 def test_a_step_that_a_redundant_tag_shares_is_one_of_the_plant() -> None:

@@ -143,7 +143,7 @@ def test_of_two_pairs_that_a_swap_reverses_the_swapped_one_is_told() -> None:
 def test_two_cells_that_stand_for_hours_were_not_exchanged() -> None:
     """Their thermometers show standing water, whatever the plant predicts; of that, hours prove little."""
     invented = 0
-    for seed in range(4, 10):
+    for seed in range(4, 7):
         rng = np.random.default_rng(seed)
         panel = _panel(rng, 45, 0.0)
         low, high = 20 * DAY, 20 * DAY + 66

@@ -101,14 +101,15 @@ def test_a_flow_that_falls_by_the_factor_of_a_unit_with_its_witnesses_is_no_swit
     assert [one.says for one in _found(store).defects if one.kind == "unit_switch"] == []
 
 
-@pytest.mark.parametrize("seed", [64, 65, 66])
-def test_none_is_invented(seed: int) -> None:
-    found = _found(clean_store(np.random.default_rng(seed), 16.0))
+def test_none_is_invented() -> None:
+    found = _found(clean_store(np.random.default_rng(64), 16.0))
     assert [one.says for one in found.defects] == []
 
 
-@pytest.mark.parametrize("late", [True, False])
-@pytest.mark.parametrize(("name", "factor"), [("F1", 10.0), ("F1", 0.1), ("JI1", 10.0), ("JI1", 0.1), ("JP", 10.0)])
+@pytest.mark.parametrize(
+    ("name", "factor", "late"),
+    [("F1", 10.0, True), ("F1", 0.1, False), ("JI1", 10.0, False), ("JI1", 0.1, True), ("JP", 10.0, False)],
+)
 def test_a_meter_that_is_a_decimal_place_off_is_converted(name: str, factor: float, late: bool) -> None:
     """Of a fan the datasheet tells the wrong part; of a meter without a rating the readings before count as right."""
     rng = np.random.default_rng(21)
