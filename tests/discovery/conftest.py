@@ -1,14 +1,16 @@
 """A loop, and records made by it with something added that the loop does not know of.
 
 The records come from the equations of the twin, so that a test runs in seconds; rigs with other physics are in
-`tests/hil/test_diagnose.py` and `test_strangers.py`. A search costs by the minutes of a record, up to four hours, and
-so many tests ask a loop with little water, whose day is two hours long (`brisk`). Where it matters how well a long
-record is told, they take the loop as it is shipped (`bench`).
+`tests/hil/test_diagnose.py` and `test_strangers.py`. A search costs by the minutes of a record, up to four hours. So
+many tests ask a loop with little water, whose day is two hours long (`brisk`). It also costs by volumes, thermometers
+and inputs, and so most of these take one of two volumes (`pair`). Where it matters how well a long record is told, they
+take the loop as it is shipped (`bench`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from twin.network import Array, Network
 from twin.revisions import with_elements
 from twin.twinfile import load
 
+PAIR = Path(__file__).with_name("pair.toml")
 STEP_S = 5.0
 HOUR = 450.0
 """What an hour is to the loop with little water: loads change eight times as often, s."""
@@ -33,6 +36,7 @@ class Bench:
 
     network: Network
     hour_s: float = 3600.0
+    start_C: tuple[float, ...] = (37.0, 36.8, 34.5, 34.0)
 
     def of(self, network: Network) -> Bench:
         """The bench of another rig."""
@@ -64,7 +68,7 @@ class Bench:
         """Readings of the loop, or of `changed` between two times; `noise` in that of its thermometers."""
         t, u = self.inputs(hours, seed)
         rng = np.random.default_rng(seed + 100)
-        state: Array = np.array([37.0, 36.8, 34.5, 34.0])
+        state: Array = np.array(self.start_C)
         parts, begun = [], 0
         cuts = [c for c in (onset_h * self.hour_s, until_h * self.hour_s) if 0.0 < c < t[-1]]
         for low, high in zip([0.0, *cuts], [*cuts, t[-1] + STEP_S], strict=True):
@@ -109,11 +113,38 @@ def healthy(bench: Bench) -> Columns:
 @pytest.fixture(scope="session")
 def brisk() -> Bench:
     """A loop with little water and good thermometers, whose days are two hours long."""
-    network = load(LOOP)
-    sigma = {f"{s.name}.sigma": NOISE_K for s in network.sensors}
-    return Bench(network.with_values({**sigma, "tank.capacitance": TANK}), HOUR)
+    return Bench(well_read(load(LOOP)).with_values({"tank.capacitance": TANK}), HOUR)
 
 
 @pytest.fixture(scope="session")
 def brisk_healthy(brisk: Bench) -> Columns:
     return brisk.record(10.0, seed=7)
+
+
+@pytest.fixture(scope="session")
+def pair() -> Bench:
+    """The same of two volumes: the heated modules, and the tank, which the fan cools."""
+    return Bench(well_read(load(PAIR)), HOUR, (36.8, 34.0))
+
+
+@pytest.fixture(scope="session")
+def pair_healthy(pair: Bench) -> Columns:
+    return pair.record(10.0, seed=7)
+
+
+@pytest.fixture(scope="session")
+def slow_pair(pair: Bench) -> Bench:
+    """The loop of two volumes with the days, the water and the thermometers of the shipped one."""
+    usual = load(LOOP).parameters
+    names = (*(f"{s.name}.sigma" for s in pair.network.sensors), "tank.capacitance")
+    return Bench(pair.network.with_values({name: usual[name].value for name in names}), start_C=pair.start_C)
+
+
+@pytest.fixture(scope="session")
+def slow_pair_healthy(slow_pair: Bench) -> Columns:
+    return slow_pair.record(10.0, seed=7)
+
+
+def well_read(network: Network) -> Network:
+    """The network with good thermometers."""
+    return network.with_values({f"{s.name}.sigma": NOISE_K for s in network.sensors})

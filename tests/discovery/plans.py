@@ -37,7 +37,7 @@ def run(
     """Readings under a profile, of `network` until the onset and of `changed` from then on; begun settled."""
     t, u = inputs_of(network, steps)
     before = np.arange(0.0, 72_000.0, STEP_S)
-    start = np.array([37.0, 36.8, 34.5, 34.0])
+    start = np.full(len(network.nodes), 36.0)
     _, ends = Kernel(network, ()).trace(network.values, start, before, np.tile(u[0], (len(before), 1)))
     state = ends[0][: len(network.nodes)]
     cut = int(np.searchsorted(t, 3600.0 * onset_h))

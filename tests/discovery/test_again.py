@@ -70,19 +70,19 @@ def test_an_effect_that_grows_after_it_was_adopted_is_told(brisk: Bench, name: s
     assert [(e.kind, e.where, e.driver) for e in answer.effects] == [(kind, where, driver)]
 
 
-def test_a_healthy_record_from_before_an_adoption_is_read_by_the_twin_of_then(brisk: Bench) -> None:
-    own = brisk.with_element("heat", {"kind": "heat_source", "node": "modules", "power": 120.0})
-    good, later = brisk.record(10.0, seed=7), brisk.of(own).record(16.0)
+def test_a_healthy_record_from_before_an_adoption_is_read_by_the_twin_of_then(pair: Bench) -> None:
+    own = pair.with_element("heat", {"kind": "heat_source", "node": "modules", "power": 120.0})
+    good, later = pair.record(10.0, seed=7), pair.of(own).record(16.0)
     with pytest.raises(NotHealthyError, match="does not fit the twin"):
         diagnose(own, later, good)
-    before = CommissionedRecord(good.time_s, good.inputs, good.measured, before=(brisk.network,))
+    before = CommissionedRecord(good.time_s, good.inputs, good.measured, before=(pair.network,))
     answer = diagnose(own, later, before)
     assert answer.verdict == "adequate"
     (note,) = (note for note in answer.notes if "before the twin's last changes" in note)
     # Heat at one module alone changes how the modules differ, and no healthy record knows that.
     assert "single thermometers of T_modules_C" in note
     # The whole record of the rig without what was taken up: the effect is gone.
-    gone = diagnose(own, brisk.record(16.0), before)
+    gone = diagnose(own, pair.record(16.0), before)
     assert [(e.kind, e.where, e.change) for e in gone.effects] == [("heat_source", "modules", "existing")]
     assert gone.effects[0].value == pytest.approx(-120.0, rel=0.03)
 

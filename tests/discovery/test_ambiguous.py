@@ -8,6 +8,7 @@ import pytest
 from tests.discovery.conftest import Bench
 from tests.discovery.plans import STEADY, inputs_of, run, steady
 from tests.same_questions import diagnose
+from tests.twin.conftest import LOOP
 from twin.discovery.evidence.part import Part
 from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.planning.design import Runner, informed
@@ -17,18 +18,29 @@ from twin.discovery.refit.fitting import fit
 from twin.discovery.refit.model import Model
 from twin.kernel import Kernel
 from twin.network import Network
+from twin.twinfile import load
 
 RIG = Limits(
     {"heater_power_W": (0.0, 1000.0), "pump_speed_pct": (0.0, 100.0), "fan_speed_pct": (0.0, 100.0)}, 75.0, "rig"
 )
-HEATED, GAINED = ("heat_source", "heater", "constant"), ("actuator", "heater_power", "constant")
+HEATED, GAINED = ("heat_source", "modules", "constant"), ("actuator", "heater_power", "constant")
 LOST, WARMED = ("heat_loss", "tank", "temperature_difference"), ("heat_source", "tank", "constant")
 PUMPED = ("heat_source", "tank", "pump_speed")
 
 
+@pytest.fixture(scope="module")
+def bench(slow_pair: Bench) -> Bench:
+    return slow_pair
+
+
+@pytest.fixture(scope="module")
+def healthy(slow_pair_healthy: Columns) -> Columns:
+    return slow_pair_healthy
+
+
 def truths(bench: Bench) -> dict[tuple[str, str, str], Network]:
     """Networks that have one cause each; in pairs they are the same at one load."""
-    source = {"kind": "heat_source", "node": "heater", "power": 40.0}
+    source = {"kind": "heat_source", "node": "modules", "power": 40.0}
     warm = {"kind": "heat_source", "node": "tank", "power": 18.0}
     pumped = {
         "kind": "heat_source",
@@ -70,8 +82,13 @@ def test_causes_alike_at_one_load_are_a_set_and_the_planned_record_names_the_rig
     assert settled.effects[0].z == pytest.approx(found.effects[0].z, rel=5e-4)
 
 
-def test_what_an_effect_follows_is_left_open_and_the_planned_record_tells(bench: Bench, healthy: Columns) -> None:
-    """Kind and place are sure, so the verdict stands; the pump never changed its speed, so what heats is open."""
+def test_what_an_effect_follows_is_left_open_and_the_planned_record_tells() -> None:
+    """Kind and place are sure, so the verdict stands; the pump never changed its speed, so what heats is open.
+
+    Of two volumes, water that heats the tank is not told from its radiator; of the four of the shipped loop it is.
+    """
+    bench = Bench(load(LOOP))
+    healthy = bench.record(10.0, seed=7)
     network, changed = bench.network, truths(bench)[PUMPED]
     record = run(network, steady(8.0), changed, 3.0)
     found = diagnose(network, record, healthy, limits=RIG)
@@ -121,7 +138,7 @@ def test_what_a_record_told_of_a_cause_leaves_it_less_room_in_the_next(bench: Be
     assert gained.min() > -1e-6 * gained.max() and gained.max() > 1.0
     # Where that record began tells nothing of where the next one does.
     q = len(known.probe.scaling.ids)
-    assert (runner.precision - before)[q : q + 4] == pytest.approx(0.0)
+    assert (runner.precision - before)[q : q + len(network.nodes)] == pytest.approx(0.0)
 
 
 def test_a_plan_keeps_every_cause_below_the_hottest_that_the_rig_allows(bench: Bench, healthy: Columns) -> None:
@@ -133,7 +150,7 @@ def test_a_plan_keeps_every_cause_below_the_hottest_that_the_rig_allows(bench: B
         plan = diagnose(bench.network, record, healthy, limits=limits).next_experiment
         assert plan is not None and plan["possible"]
         t, u = inputs_of(bench.network, plan["steps"])
-        state = np.array([37.0, 36.8, 34.5, 34.0])
+        state = np.array(bench.start_C)
         return plan["hottest_C"], float(Kernel(changed, ()).trace(changed.values, state, t, u)[0][0].max())
 
     expected, free = hottest(RIG)
@@ -166,6 +183,6 @@ def test_where_no_input_can_tell_the_measurement_that_can_is_named(bench: Bench,
     record = run(bench.network, steady(8.0), bench.with_values(fins__UA_100=54.0), 3.0)
     plan = diagnose(bench.network, record, healthy, limits=RIG).next_experiment
     assert plan is not None
-    together = [names for names in plan["stay_alike"] if "heat rejection at radiator (constant)" in names]
+    together = [names for names in plan["stay_alike"] if "heat rejection at tank (constant)" in names]
     assert together and "actuator at fan speed" in together[0]
     assert any("tachometer" in text for text in plan["measure"])

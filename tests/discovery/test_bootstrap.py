@@ -70,9 +70,9 @@ def test_gaps_and_single_thermometers_are_drawn_too(bench: Bench, healthy: Colum
 
 
 @pytest.mark.usefixtures("own_cache")
-def test_healthy_draws_give_no_alarm_and_raise_the_odds_little(bench: Bench) -> None:
+def test_healthy_draws_give_no_alarm_and_raise_the_odds_little(pair: Bench) -> None:
     told: list[int] = []
-    found = bootstrap_claims(bench.network, bench.record(2.0, seed=7), 10, done=told.append)
+    found = bootstrap_claims(pair.network, pair.record(4.0, seed=7), 10, done=told.append)
     assert told == list(range(1, 11))
     assert found.alarms <= 1
     assert len(found.odds) == 10 and max(found.odds) < CLAIM + 3.0
@@ -92,17 +92,17 @@ def test_the_odds_needed_rise_with_those_of_healthy_records_and_never_fall() -> 
 
 
 @pytest.mark.usefixtures("own_cache")
-def test_what_was_kept_counts_for_that_twin_alone(bench: Bench, healthy: Columns) -> None:
-    grid = on_grid(bench.network, healthy.time_s, healthy.inputs, healthy.measured)
-    before = basis(bench.network, healthy, grid)
+def test_what_was_kept_counts_for_that_twin_alone(pair: Bench, pair_healthy: Columns) -> None:
+    grid = on_grid(pair.network, pair_healthy.time_s, pair_healthy.inputs, pair_healthy.measured)
+    before = basis(pair.network, pair_healthy, grid)
     assert before.bootstrap is None and before.claim == 0.0
-    keep_bootstrap(ROUGH, bench.network, healthy.time_s, healthy.inputs, healthy.measured)
-    assert basis(bench.network, healthy, grid).claim == ROUGH.claim
-    record = bench.record(10.0)
-    assert diagnose(bench.network, record, healthy).claim == ROUGH.claim
-    other = bench.with_values(fins__UA_100=bench.network.parameters["fins.UA_100"].value * 1.01)
-    assert kept(other, healthy.time_s, healthy.inputs, healthy.measured) is None
-    assert kept(bench.network, healthy.time_s, healthy.inputs, healthy.measured + 0.01) is None
+    keep_bootstrap(ROUGH, pair.network, pair_healthy.time_s, pair_healthy.inputs, pair_healthy.measured)
+    assert basis(pair.network, pair_healthy, grid).claim == ROUGH.claim
+    record = pair.record(10.0)
+    assert diagnose(pair.network, record, pair_healthy).claim == ROUGH.claim
+    other = pair.with_values(fins__UA_100=pair.network.parameters["fins.UA_100"].value * 1.01)
+    assert kept(other, pair_healthy.time_s, pair_healthy.inputs, pair_healthy.measured) is None
+    assert kept(pair.network, pair_healthy.time_s, pair_healthy.inputs, pair_healthy.measured + 0.01) is None
 
 
 @pytest.mark.usefixtures("own_cache")

@@ -19,12 +19,12 @@ from twin.elements.ambient_loss import AmbientLoss
 from twin.kernel import Kernel
 
 
-def test_an_error_beyond_what_a_thermometer_may_have_is_not_claimed(brisk: Bench, brisk_healthy: Columns) -> None:
-    record = brisk.record(10.0)
-    j = brisk.network.sensor_names.index("T_tank_C")
+def test_an_error_beyond_what_a_thermometer_may_have_is_not_claimed(pair: Bench, pair_healthy: Columns) -> None:
+    record = pair.record(10.0)
+    j = pair.network.sensor_names.index("T_tank_C")
     measured = record.measured.copy()
     measured[:, j] += 26.0
-    found = diagnose(brisk.network, replace(record, measured=measured), brisk_healthy)
+    found = diagnose(pair.network, replace(record, measured=measured), pair_healthy)
     assert found.verdict == "unexplained" and found.network is None
     assert found.effects[0].where == "T_tank_C"
     assert found.effects[0].value == pytest.approx(26.0, abs=0.5)
@@ -50,15 +50,15 @@ def test_what_grows_is_held_against_its_bound_as_far_as_the_record_goes(brisk: B
 
 
 @pytest.mark.parametrize(("kind", "where"), [("actuator", "heater_power"), ("sensor", "T_tank_C")])
-def test_all_or_nothing_of_a_share_is_a_size_like_others(brisk: Bench, kind: str, where: str) -> None:
+def test_all_or_nothing_of_a_share_is_a_size_like_others(pair: Bench, kind: str, where: str) -> None:
     """A heater may give nothing, and a thermometer may miss every change."""
     ends = [
         c.lower if kind == "actuator" else c.upper
-        for c in catalogue(brisk.network)
+        for c in catalogue(pair.network)
         if (c.kind, c.where) == (kind, where) and (c.sticks or (kind == "actuator" and c.lower == -1.0 and c.adds))
     ]
     assert ends and set(np.abs(ends)) == {1.0}
-    for c in catalogue(brisk.network):
+    for c in catalogue(pair.network):
         if (c.kind, c.where, c.driver) == ("sensor", where, "constant"):
             assert c.at_bound(c.upper) and c.at_bound(c.lower) and not c.at_bound(0.5 * c.upper)
         if (c.kind, c.where) == (kind, where) and c.sticks:

@@ -30,9 +30,9 @@ def test_an_error_is_held_against_health_and_against_a_constant(
     assert explains_too_little(network, errors, readings) == too_little
 
 
-def test_a_twin_of_a_record_in_another_unit_calls_nothing_adequate(brisk: Bench, brisk_healthy: Columns) -> None:
+def test_a_twin_of_a_record_in_another_unit_calls_nothing_adequate(pair: Bench, pair_healthy: Columns) -> None:
     """Power in kW and in W: what the twin leaves in health passes for noise, which hides any error later."""
-    small = replace(brisk_healthy, inputs=brisk_healthy.inputs * [1e-3, 1.0, 1.0, 1.0])
-    fitted = commission(brisk.network, small.time_s, small.inputs, small.measured, CommissionOptions(starts=1)).network
-    found = diagnose(fitted, brisk.record(8.0, seed=5), small)
+    small = replace(pair_healthy, inputs=pair_healthy.inputs * [1e-3, 1.0, 1.0, 1.0])
+    fitted = commission(pair.network, small.time_s, small.inputs, small.measured, CommissionOptions(starts=1)).network
+    found = diagnose(fitted, pair.record(8.0, seed=5), small)
     assert found.verdict != "adequate" and found.network is None

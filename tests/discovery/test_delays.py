@@ -41,22 +41,22 @@ def test_delay_that_a_twin_already_has_may_only_grow(bench: Bench) -> None:
     assert all(c.lower == 0.0 for c in delays(lagging))
 
 
-def test_thermometer_that_is_earlier_than_its_twin_is_not_called_late(brisk: Bench) -> None:
-    twin = brisk.of(brisk.with_values(T_radiator_C__lag_s=60.0))
-    earlier = brisk.with_values(T_radiator_C__lag_s=20.0)
+def test_thermometer_that_is_earlier_than_its_twin_is_not_called_late(pair: Bench) -> None:
+    twin = pair.of(pair.with_values(T_tank_C__lag_s=60.0))
+    earlier = pair.with_values(T_tank_C__lag_s=20.0)
     found = diagnose(twin.network, twin.record(16.0, seed=3, changed=earlier, onset_h=6.0), twin.record(10.0, seed=7))
     assert "by -" not in found.summary
     late = [e for e in found.effects if "late" in e.says]
     assert all(e.value > 0.0 for e in late)
-    assert not [e for e in late if e.where == "T_radiator_C"]
+    assert not [e for e in late if e.where == "T_tank_C"]
 
 
-def test_thermometer_that_is_later_than_its_twin_still_is(bench: Bench) -> None:
-    twin = Bench(bench.with_values(T_radiator_C__lag_s=20.0))
-    later = bench.with_values(T_radiator_C__lag_s=80.0)
+def test_thermometer_that_is_later_than_its_twin_still_is(pair: Bench) -> None:
+    twin = pair.of(pair.with_values(T_tank_C__lag_s=20.0))
+    later = pair.with_values(T_tank_C__lag_s=80.0)
     found = diagnose(twin.network, twin.record(16.0, seed=3, changed=later, onset_h=6.0), twin.record(10.0, seed=7))
     (effect,) = found.effects
-    assert (effect.kind, effect.where, effect.driver) == ("sensor", "T_radiator_C", "rate_of_change")
+    assert (effect.kind, effect.where, effect.driver) == ("sensor", "T_tank_C", "rate_of_change")
     assert effect.value == pytest.approx(60.0, rel=0.2)
 
 
@@ -69,10 +69,10 @@ def test_interval_of_a_delay_ends_at_zero(bench: Bench) -> None:
 
 @pytest.mark.parametrize(("parameter", "seconds"), [("lag_s", 900.0), ("dead_time_s", 240.0)])
 def test_heater_that_answers_late_is_told_with_its_form(
-    brisk: Bench, brisk_healthy: Columns, parameter: str, seconds: float
+    pair: Bench, pair_healthy: Columns, parameter: str, seconds: float
 ) -> None:
-    late = brisk.with_element("relay", {"kind": "actuator", "column": "heater_power_W", parameter: seconds})
-    found = diagnose(brisk.network, brisk.record(24.0, seed=3, changed=late, onset_h=8.0), brisk_healthy)
+    late = pair.with_element("relay", {"kind": "actuator", "column": "heater_power_W", parameter: seconds})
+    found = diagnose(pair.network, pair.record(24.0, seed=3, changed=late, onset_h=8.0), pair_healthy)
     (effect,) = found.effects
     assert (effect.kind, effect.where, effect.driver) == ("actuator", "heater_power", "history")
     assert ("only after" in effect.says) == (parameter == "dead_time_s")
@@ -85,7 +85,7 @@ def test_a_dead_time_of_more_than_a_load_step_is_told(brisk: Bench, brisk_health
     given, dead_s, onset_s = inputs.copy(), 700.0, 7.0 * HOUR
     later = time >= onset_s
     given[later, 0] = np.roll(inputs[:, 0], round(dead_s / STEP_S))[later]
-    start = np.array([37.0, 36.8, 34.5, 34.0])
+    start = np.array(brisk.start_C)
     read, _ = Kernel(brisk.network, ()).trace(brisk.network.values, start, time, given)
     noise = brisk.network.sigma * np.random.default_rng(5).normal(0.0, 1.0, read[0].shape)
     found = diagnose(brisk.network, Columns(time, inputs, read[0] + noise), brisk_healthy)

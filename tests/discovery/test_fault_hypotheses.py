@@ -35,51 +35,51 @@ def diagnosed(bench: Bench, healthy: Columns, record: Columns, off: Array) -> Di
     return diagnose(bench.network, with_six(bench, record, 6, lambda _: off), with_six(bench, healthy, 5))
 
 
-def test_a_place_in_poor_contact_is_not_a_thermometer_that_errs(brisk: Bench, brisk_healthy: Columns) -> None:
+def test_a_place_in_poor_contact_is_not_a_thermometer_that_errs(pair: Bench, pair_healthy: Columns) -> None:
     """It comes to its new temperature within a minute, and is the colder the warmer the modules are."""
-    record = brisk.record(14.0)
+    record = pair.record(14.0)
     since = slowly(np.where(record.time_s > 5.0 * HOUR, 1.0, 0.0), 40.0)
-    found = diagnosed(brisk, brisk_healthy, record, -0.04 * since * excess(brisk, record))
+    found = diagnosed(pair, pair_healthy, record, -0.04 * since * excess(pair, record))
     assert [(e.kind, e.where, e.driver) for e in found.effects] == [("heat_loss", "pm3", "temperature_difference")]
     assert found.effects[0].unit == "K" and found.effects[0].value < -0.3
     assert not any(a.kind == "sensor" for a in found.indistinguishable)
 
 
-def test_an_error_that_is_there_at_once_is_the_thermometers(brisk: Bench, brisk_healthy: Columns) -> None:
-    record = brisk.record(14.0)
-    found = diagnosed(brisk, brisk_healthy, record, np.where(record.time_s > 5.0 * HOUR, -0.5, 0.0))
+def test_an_error_that_is_there_at_once_is_the_thermometers(pair: Bench, pair_healthy: Columns) -> None:
+    record = pair.record(14.0)
+    found = diagnosed(pair, pair_healthy, record, np.where(record.time_s > 5.0 * HOUR, -0.5, 0.0))
     assert found.verdict == "effect found" and found.indistinguishable == ()
     assert [(e.kind, e.where, e.driver) for e in found.effects] == [("sensor", "T_pm3_C", "constant")]
 
 
-def test_a_loss_that_grows_is_told_from_a_thermometer_that_drifts(bench: Bench, healthy: Columns) -> None:
+def test_a_loss_that_grows_is_told_from_a_thermometer_that_drifts(pair: Bench, pair_healthy: Columns) -> None:
     """No onset tells; the modules' temperature beside the room's does."""
-    record = bench.record(14.0)
-    grown = np.clip((record.time_s / 3600.0 - 8.0) / 6.0, 0.0, 1.0)
-    found = diagnosed(bench, healthy, record, -0.015 * grown * excess(bench, record))
+    record = pair.record(14.0)
+    grown = np.clip((record.time_s / HOUR - 8.0) / 6.0, 0.0, 1.0)
+    found = diagnosed(pair, pair_healthy, record, -0.015 * grown * excess(pair, record))
     (effect,) = found.effects
     assert (effect.kind, effect.where, effect.driver) == ("heat_loss", "pm3", "elapsed_time")
     assert effect.confidence < 0.99
 
 
-def test_heat_that_a_clock_switches_at_one_place_is_no_error_of_reading(brisk: Bench, brisk_healthy: Columns) -> None:
-    record = brisk.record(14.0)
+def test_heat_that_a_clock_switches_at_one_place_is_no_error_of_reading(pair: Bench, pair_healthy: Columns) -> None:
+    record = pair.record(14.0)
     on = slowly(np.where((record.time_s - 460.0) % 1247.0 < 537.0, 0.6, 0.0), 20.0)
-    found = diagnosed(brisk, brisk_healthy, record, on)
+    found = diagnosed(pair, pair_healthy, record, on)
     assert found.verdict == "unexplained"
     assert "T_pm3_C" in {e.where for e in found.effects}
 
 
-def test_two_that_differ_are_told_each_by_itself(brisk: Bench, brisk_healthy: Columns) -> None:
+def test_two_that_differ_are_told_each_by_itself(pair: Bench, pair_healthy: Columns) -> None:
     """Neither is odd among all, as the other is; each is without it."""
-    record = brisk.record(16.0)
-    record = with_six(brisk, record, 6, lambda t: np.where(t > 5.0 * HOUR, 0.6, 0.0))
-    each, j = record.members[SENSOR].copy(), brisk.network.sensor_names.index(SENSOR)
+    record = pair.record(16.0)
+    record = with_six(pair, record, 6, lambda t: np.where(t > 5.0 * HOUR, 0.6, 0.0))
+    each, j = record.members[SENSOR].copy(), pair.network.sensor_names.index(SENSOR)
     each[:, 4] += np.where(record.time_s > 9.0 * HOUR, -0.5, 0.0)
     measured = record.measured.copy()
     measured[:, j] = each.mean(axis=1)
     both = replace(record, measured=measured, members={SENSOR: each})
-    found = diagnose(brisk.network, both, with_six(brisk, brisk_healthy, 5))
+    found = diagnose(pair.network, both, with_six(pair, pair_healthy, 5))
     told = {e.where: e for e in found.effects}
     assert set(told) == {"T_pm3_C", "T_pm5_C"} and {e.kind for e in found.effects} == {"sensor"}
     assert told["T_pm3_C"].value == pytest.approx(0.6, abs=0.05)
@@ -104,32 +104,34 @@ def test_an_error_and_heat_at_the_same_place_are_two(bench: Bench, healthy: Colu
     assert told["sensor", "T_pm3_C"].onset_s == pytest.approx(6.0 * 3600.0, abs=900.0)
 
 
-def test_heat_at_one_place_is_told_there_in_words_too(brisk: Bench, brisk_healthy: Columns) -> None:
+def test_heat_at_one_place_is_told_there_in_words_too(pair: Bench, pair_healthy: Columns) -> None:
     """The thermometer beside it differs for no reason of its own."""
-    heated = brisk.with_element("heat", {"kind": "heat_source", "node": "modules", "power": 60.0})
-    record = brisk.record(14.0, changed=heated, onset_h=4.0)
+    heated = pair.with_element("heat", {"kind": "heat_source", "node": "modules", "power": 60.0})
+    record = pair.record(14.0, changed=heated, onset_h=4.0)
     warmer = slowly(np.where(record.time_s > 4.0 * HOUR, 1.0, 0.0), 40.0)
-    found = diagnosed(brisk, brisk_healthy, record, warmer)
+    found = diagnosed(pair, pair_healthy, record, warmer)
     assert found.verdict == "effect found"
     (heat,) = found.effects
     assert (heat.kind, heat.where) == ("heat_source", "pm3")
     assert "pm3 alone" in heat.says and heat.says in found.summary
 
 
-def test_one_that_leans_on_a_wall_now_and_then_errs_in_no_known_way(bench: Bench, healthy: Columns) -> None:
-    record = bench.record(16.0)
-    leans = slowly(excess(bench, record), 1800.0) > np.median(excess(bench, record))
-    found = diagnosed(bench, healthy, record, -0.15 * leans * excess(bench, record))
+def test_one_that_leans_on_a_wall_now_and_then_errs_in_no_known_way(pair: Bench, pair_healthy: Columns) -> None:
+    record = pair.record(16.0)
+    leans = slowly(excess(pair, record), 0.5 * HOUR) > np.median(excess(pair, record))
+    found = diagnosed(pair, pair_healthy, record, -0.15 * leans * excess(pair, record))
     assert found.verdict == "unexplained" and found.network is None
     assert (found.effects[0].kind, found.effects[0].where) == ("unknown", "T_pm3_C")
 
 
 @pytest.mark.parametrize("onset_h", [0.0, 5.0])
-def test_one_that_follows_late_is_told_with_its_lag(bench: Bench, healthy: Columns, onset_h: float) -> None:
-    record = bench.record(16.0)
-    true = slowly(record.measured[:, bench.network.sensor_names.index(SENSOR)], 60.0)
+def test_one_that_follows_late_is_told_with_its_lag(
+    slow_pair: Bench, slow_pair_healthy: Columns, onset_h: float
+) -> None:
+    record = slow_pair.record(16.0)
+    true = slowly(record.measured[:, slow_pair.network.sensor_names.index(SENSOR)], 60.0)
     late = np.where(record.time_s > onset_h * 3600.0, slowly(true, 120.0) - true, 0.0)
-    found = diagnosed(bench, healthy, record, late)
+    found = diagnosed(slow_pair, slow_pair_healthy, record, late)
     assert found.verdict == "effect found"
     (lag,) = found.effects
     assert (lag.kind, lag.where, lag.driver, lag.unit) == ("sensor", "T_pm3_C", "rate_of_change", "s")

@@ -26,9 +26,9 @@ def filled(bench: Bench, water_C: float, share: float, seconds: float) -> Column
     """A record of a tank of which a share of the content is replaced, evenly over some seconds."""
     time, inputs = bench.inputs(10.0, 1)
     tank, steps = bench.network.nodes.index("tank"), max(int(seconds / (time[1] - time[0])), 1)
-    first = int(np.searchsorted(time, 3600.0 * BEGUN_H))
+    first = int(np.searchsorted(time, bench.hour_s * BEGUN_H))
     cuts = [0, *range(first, first + steps), len(time)]
-    state, kernel, parts = np.array([37.0, 36.8, 34.5, 34.0]), Kernel(bench.network, ()), []
+    state, kernel, parts = np.array(bench.start_C), Kernel(bench.network, ()), []
     for low, high in zip(cuts[:-1], cuts[1:], strict=True):
         rows = slice(low, min(high + 1, len(time)))
         read, ends = kernel.trace(bench.network.values, state, time[rows], inputs[rows])
@@ -43,15 +43,15 @@ def filled(bench: Bench, water_C: float, share: float, seconds: float) -> Column
 
 @pytest.mark.parametrize(("word", "water_C", "seconds"), [("cold", 10.0, 120.0), ("hot", 60.0, 5.0)])
 def test_water_that_is_filled_in_is_named_with_its_time_and_amount(
-    bench: Bench, healthy: Columns, word: str, water_C: float, seconds: float
+    slow_pair: Bench, slow_pair_healthy: Columns, word: str, water_C: float, seconds: float
 ) -> None:
     share = 0.1
-    found = diagnose(bench.network, filled(bench, water_C, share, seconds), healthy)
+    found = diagnose(slow_pair.network, filled(slow_pair, water_C, share, seconds), slow_pair_healthy)
     assert found.verdict == "effect found"
     (effect,) = found.effects
     assert (effect.kind, effect.where, effect.unit) == ("heat_source", "tank", "kg/s")
-    assert effect.onset_s == pytest.approx(3600.0 * BEGUN_H, abs=60.0)
-    content = bench.network.parameters["tank.capacitance"].value / 4180.0
+    assert effect.onset_s == pytest.approx(slow_pair.hour_s * BEGUN_H, abs=60.0)
+    content = slow_pair.network.parameters["tank.capacitance"].value / 4180.0
     assert effect.value * effect.growth_s == pytest.approx(-np.log1p(-share) * content, rel=0.1)
     assert f"{word} water" in effect.says and "kg in all" in effect.says
     assert found.network is None  # it has passed: the twin lacks nothing

@@ -25,7 +25,7 @@ def test_a_twin_that_was_never_commissioned_is_grown_and_judged_where_no_fit_saw
     bare, full = load(TWINS / "tclab_bare.toml"), load(TWINS / "tclab.toml")
     record = Columns(*heaters(full, 1))
     assert fits_growth(bare, record)
-    found = diagnose_grown(bare, record, more=(Columns(*heaters(full, 2)),), most=3)
+    found = diagnose_grown(bare, record, more=(Columns(*heaters(full, 2)),), most=3, beam=2)
     assert found.verdict == "effect found" and found.method == "growth" and found.network is not None
     assert {(e.kind, e.where) for e in found.effects} == {
         ("sensor", "heaters"),
@@ -87,16 +87,16 @@ def test_a_commissioned_twin_and_a_long_record_are_left_to_the_contest(bench: Be
     assert len(bench.record(16.0).time_s) > LONGEST and not fits_growth(bench.network, bench.record(16.0))
 
 
-def test_without_a_healthy_record_a_twin_as_good_as_when_commissioned_lacks_nothing(bench: Bench) -> None:
+def test_without_a_healthy_record_a_twin_as_good_as_when_commissioned_lacks_nothing(pair: Bench) -> None:
     """What it leaves may look like an effect; the same twin with a real one is not as good."""
-    sensors = bench.network.sensor_names
+    sensors = pair.network.sensor_names
     revision = Revision(1, error_after_K=dict.fromkeys(sensors, 0.06))
-    commissioned = replace(bench.network, revision=revision)
+    commissioned = replace(pair.network, revision=revision)
     good = dict.fromkeys(sensors, SensorError(0.2, 0.064, 0.05, 0.05))
     assert as_commissioned(commissioned, good)
     assert not as_commissioned(commissioned, good | {sensors[0]: SensorError(0.2, 0.07, 0.05, 0.05)})
     assert not as_commissioned(commissioned, {})
-    heated = bench.with_element("more", {"kind": "heat_source", "node": "heater", "power": 40.0})
-    found = diagnose(commissioned, bench.record(16.0, changed=heated, onset_h=5.0))
-    assert [(e.kind, e.where) for e in found.effects] == [("heat_source", "heater")]
-    assert diagnose(commissioned, bench.record(16.0, seed=3)).verdict == "adequate"
+    heated = pair.with_element("more", {"kind": "heat_source", "node": "modules", "power": 40.0})
+    found = diagnose(commissioned, pair.record(16.0, changed=heated, onset_h=5.0))
+    assert [(e.kind, e.where) for e in found.effects] == [("heat_source", "modules")]
+    assert diagnose(commissioned, pair.record(16.0, seed=3)).verdict == "adequate"

@@ -243,16 +243,16 @@ def test_a_course_that_goes_both_ways_has_no_mean() -> None:
 
 
 def test_a_cause_that_cannot_be_described_has_its_leads_in_json_terminal_and_page(
-    bench: Bench, healthy: Columns
+    slow_pair: Bench, slow_pair_healthy: Columns
 ) -> None:
     """A reading in error now and then within two hours, one lost command, one spike, and a room as it never was."""
-    record = bench.record(8.0)
+    record = slow_pair.record(8.0)
     hours, measured, inputs = record.time_s / 3600.0, record.measured.copy(), record.inputs.copy()
     for first, last in ((3.0, 3.5), (3.8, 4.1), (4.5, 5.0)):
-        measured[(hours > first) & (hours < last), 3] += 0.8
-    measured[1000, 2] += 3.0
+        measured[(hours > first) & (hours < last), 1] += 0.8
+    measured[1000, 0] += 3.0
     inputs[2000, 0] = 0.0
-    found = diagnose(bench.network, replace(record, measured=measured, inputs=inputs), healthy)
+    found = diagnose(slow_pair.network, replace(record, measured=measured, inputs=inputs), slow_pair_healthy)
     assert (found.effects[0].where, found.effects[0].shape) == ("T_tank_C", "own course")
     by = {kind: [lead for lead in found.leads if lead.kind == kind] for kind in {lead.kind for lead in found.leads}}
     assert set(by) == {"segment", "place", "row"}
@@ -260,7 +260,7 @@ def test_a_cause_that_cannot_be_described_has_its_leads_in_json_terminal_and_pag
     assert max(lead.high for lead in by["segment"]) == pytest.approx(5.0 * 3600.0, abs=900.0)
     assert sum(lead.share for lead in by["segment"]) > 0.8
     assert by["place"][0].where == "T_tank_C" and "reads too high by" in by["place"][0].says
-    assert {(lead.where, lead.low) for lead in by["row"]} == {("heater_power_W", 10000.0), ("T_radiator_C", 5000.0)}
+    assert {(lead.where, lead.low) for lead in by["row"]} == {("heater_power_W", 10000.0), ("T_modules_C", 5000.0)}
     first = found.effects[0]
     since = first.onset_s if found.description["onset_s"] else None
     assert disturbance_statement("T_tank_C", first.value, "K", first.interval90, since, average=True) in found.summary
@@ -274,7 +274,7 @@ def test_a_cause_that_cannot_be_described_has_its_leads_in_json_terminal_and_pag
     console = Console(record=True, width=400)
     print_diagnosis(console, found)
     printed = console.export_text()
-    text = page(Findings(document | {"record": "r.csv"}, curves_of(found, bench.network.sensor_names)))
+    text = page(Findings(document | {"record": "r.csv"}, curves_of(found, slow_pair.network.sensor_names)))
     for lead in found.leads:
         assert f"lead: {lead.says}" in printed and f"<li>{lead.says}</li>" in text
 

@@ -36,30 +36,30 @@ def test_a_limit_is_found_with_its_level(brisk: Bench, brisk_healthy: Columns, c
     assert offset / share == pytest.approx(level, rel=0.02)
 
 
-def test_a_twin_that_has_taken_up_a_limit_is_diagnosed_again(brisk: Bench, brisk_healthy: Columns) -> None:
+def test_a_twin_that_has_taken_up_a_limit_is_diagnosed_again(pair: Bench, pair_healthy: Columns) -> None:
     column = "heater_power_W"
     own = with_elements(
-        brisk.network,
+        pair.network,
         {
             f"actuator_of_{column}": {"kind": "actuator", "column": column},
             f"limit_of_{column}": {"kind": "limiter", "column": column, "share": 1.0, "offset": 730.0},
         },
     )
-    good = brisk_healthy
-    before = CommissionedRecord(good.time_s, good.inputs, good.measured, before=(brisk.network,))
-    assert diagnose(own, brisk.of(own).record(12.0), before).verdict == "adequate"
-    (gone,) = diagnose(own, brisk.record(12.0), before).effects
+    good = pair_healthy
+    before = CommissionedRecord(good.time_s, good.inputs, good.measured, before=(pair.network,))
+    assert diagnose(own, pair.of(own).record(12.0), before).verdict == "adequate"
+    (gone,) = diagnose(own, pair.record(12.0), before).effects
     assert (gone.kind, gone.where, gone.change) == ("actuator", "heater_power", "existing")
     assert gone.value == pytest.approx(-1.0, abs=0.05)
 
 
-def test_a_limit_below_all_commands_of_a_running_heater_is_a_gain(brisk: Bench, brisk_healthy: Columns) -> None:
+def test_a_limit_below_all_commands_of_a_running_heater_is_a_gain(pair: Bench, pair_healthy: Columns) -> None:
     """Whatever the heater reads while it is off."""
-    record = brisk.record(4.0)
+    record = pair.record(4.0)
     record.inputs[100:200, 0] = 0.0
     record.inputs[150:160, 0] = 3.0
-    grid = on_grid(brisk.network, record.time_s, record.inputs, record.measured)
-    part = Part.of(basis(brisk.network, brisk_healthy, grid), grid)
+    grid = on_grid(pair.network, record.time_s, record.inputs, record.measured)
+    part = Part.of(basis(pair.network, pair_healthy, grid), grid)
     limit = next(c for c in part.basis.book.candidates if c.is_limit and c.where == "heater_power")
     assert limit.at_level is not None
     least = grid.inputs[grid.inputs[:, 0] > 100.0, 0].min()

@@ -38,11 +38,11 @@ def test_a_thermometer_that_lags_goes_on_lagging_while_something_else_grows(benc
 
 
 def test_fits_side_by_side_are_those_of_one_after_the_other(
-    brisk: Bench, brisk_healthy: Columns, monkeypatch: pytest.MonkeyPatch
+    pair: Bench, pair_healthy: Columns, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    record = brisk.record(8.0, changed=brisk.with_values(modules_power__power=120.0), onset_h=3.0)
-    grid = on_grid(brisk.network, record.time_s, record.inputs, record.measured)
-    known, found = basis(brisk.network, brisk_healthy, grid), []
+    record = pair.record(8.0, changed=pair.with_values(modules_power__power=120.0), onset_h=3.0)
+    grid = on_grid(pair.network, record.time_s, record.inputs, record.measured)
+    known, found = basis(pair.network, pair_healthy, grid), []
     for at_once in (1, 4):
         monkeypatch.setattr(parts, "SIDE_BY_SIDE", at_once)
         part = Part.of(known, grid)
@@ -53,26 +53,26 @@ def test_fits_side_by_side_are_those_of_one_after_the_other(
     assert len(tried) == 8 and found[0] == found[1]
 
 
-def test_a_lag_and_a_growing_loss_at_one_place_are_both_found(bench: Bench, healthy: Columns) -> None:
+def test_a_lag_and_a_growing_loss_at_one_place_are_both_found(slow_pair: Bench, slow_pair_healthy: Columns) -> None:
     n = 132
-    t, u = bench.inputs(16.0, 2)
-    pieces, state = [], np.array([37.0, 36.8, 34.5, 34.0])
+    t, u = slow_pair.inputs(16.0, 2)
+    pieces, state = [], np.array(slow_pair.start_C)
     # The loss grows from 5 h on, in steps of five minutes.
     edges = np.searchsorted(t, np.concatenate([[0.0], np.linspace(5.0, 16.0, n) * 3600.0]))
     for k, (low, high) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
-        net = bench.with_element("leak", {"kind": "ambient_loss", "node": "heater", "hA": LOSS * k / n})
+        net = slow_pair.with_element("leak", {"kind": "ambient_loss", "node": "modules", "hA": LOSS * k / n})
         read, ends = Kernel(net, ()).trace(net.values, state, t[low : high + 1], u[low : high + 1])
         pieces.append(read[0][: high - low])
         state = ends[0][: len(net.nodes)]
     y = np.vstack(pieces)
     seen = y.copy()
     decay = np.exp(-(t[1] - t[0]) / LAG_S)
-    j = bench.network.sensor_names.index("T_heater_C")
+    j = slow_pair.network.sensor_names.index("T_modules_C")
     for i in range(1, len(y)):
         seen[i, j] = y[i - 1, j] + (seen[i - 1, j] - y[i - 1, j]) * decay
-    noise = bench.network.sigma * np.random.default_rng(4).normal(0.0, 1.0, y.shape)
-    found = diagnose(bench.network, Columns(t[: len(y)], u[: len(y)], seen + noise), healthy)
-    assert {(e.kind, e.where) for e in found.effects} == {("sensor", "T_heater_C"), ("heat_loss", "heater")}, (
+    noise = slow_pair.network.sigma * np.random.default_rng(4).normal(0.0, 1.0, y.shape)
+    found = diagnose(slow_pair.network, Columns(t[: len(y)], u[: len(y)], seen + noise), slow_pair_healthy)
+    assert {(e.kind, e.where) for e in found.effects} == {("sensor", "T_modules_C"), ("heat_loss", "modules")}, (
         found.summary
     )
     by = {e.kind: e for e in found.effects}

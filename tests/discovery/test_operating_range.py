@@ -68,16 +68,16 @@ def test_a_room_is_as_far_from_health_as_its_difference_from_the_rig(bench: Benc
 
 
 @pytest.mark.parametrize("hot", [True, False])
-def test_what_shows_only_where_no_healthy_rig_was_is_no_effect(brisk: Bench, brisk_healthy: Columns, hot: bool) -> None:
+def test_what_shows_only_where_no_healthy_rig_was_is_no_effect(pair: Bench, pair_healthy: Columns, hot: bool) -> None:
     """A thermometer wanders for two hours, while the heater gives more than ever in health or as ever."""
-    t, u = brisk.inputs(12.0, 5)
+    t, u = pair.inputs(12.0, 5)
     amid = (t > 6.0 * HOUR) & (t < 9.0 * HOUR)
     u[amid, 0] *= 1.8 if hot else 1.0
     rng = np.random.default_rng(6)
-    y = simulate(brisk.network, t, u, np.array([37.0, 36.8, 34.5, 34.0]))
-    y += brisk.network.sigma * rng.normal(0.0, 1.0, y.shape)
+    y = simulate(pair.network, t, u, np.array(pair.start_C))
+    y += pair.network.sigma * rng.normal(0.0, 1.0, y.shape)
     walk = np.cumsum(rng.normal(0.0, 0.02, len(t)))
     y[amid, 1] += (walk - walk[amid][0])[amid]
-    found = diagnose(brisk.network, Columns(t, u, y), brisk_healthy)
+    found = diagnose(pair.network, Columns(t, u, y), pair_healthy)
     assert (found.verdict == "adequate") == hot
     assert any("where inputs stay near their range" in note for note in found.notes) == hot

@@ -22,7 +22,7 @@ def growing(bench: Bench, amount: Callable[[float], float], **coming: float) -> 
     changes = {name.replace("__", "."): by for name, by in coming.items()}
     kernel, values = Kernel(bench.network, tuple(changes)), bench.network.values
     edges = np.append(np.searchsorted(t, np.arange(0.0, t[-1], PIECE_S)), len(t) - 1)
-    state, parts = np.array([37.0, 36.8, 34.5, 34.0]), []
+    state, parts = np.array(bench.start_C), []
     for low, high in pairwise(edges.tolist()):
         now = values.copy()
         now[bench.network.index(tuple(changes))] += amount(0.5 * (t[low] + t[high])) * np.array([*changes.values()])
@@ -33,11 +33,11 @@ def growing(bench: Bench, amount: Callable[[float], float], **coming: float) -> 
     return Columns(t[:-1], u[:-1], y + bench.network.sigma * np.random.default_rng(3).normal(0.0, 1.0, y.shape))
 
 
-def test_fouling_that_ends_in_the_last_hours_is_one_effect(brisk: Bench, brisk_healthy: Columns) -> None:
-    change = -0.35 * brisk.network.parameters["fins.UA_100"].value
-    record = growing(brisk, lambda t: float(np.clip((t - 3.0 * HOUR) / (13.6 * HOUR), 0.0, 1.0)), fins__UA_100=change)
-    found = diagnose(brisk.network, record, brisk_healthy)
+def test_fouling_that_ends_in_the_last_hours_is_one_effect(pair: Bench, pair_healthy: Columns) -> None:
+    change = -0.35 * pair.network.parameters["fins.UA_100"].value
+    record = growing(pair, lambda t: float(np.clip((t - 3.0 * HOUR) / (13.6 * HOUR), 0.0, 1.0)), fins__UA_100=change)
+    found = diagnose(pair.network, record, pair_healthy)
     assert found.verdict == "effect found"
     (effect,) = found.effects
-    assert (effect.kind, effect.where, effect.driver) == ("heat_rejection", "radiator", "elapsed_time")
+    assert (effect.kind, effect.where, effect.driver) == ("heat_rejection", "tank", "elapsed_time")
     assert effect.value == pytest.approx(change, rel=0.05)

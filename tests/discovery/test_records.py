@@ -103,7 +103,7 @@ def test_a_mixed_pipe_becomes_a_delay_and_a_wall_and_claims_no_loss() -> None:
     mixed, whole = load(TWINS / "heated_pipe_mixed.toml"), load(TWINS / "heated_pipe.toml")
     # At one flow a wall in good contact is a late thermometer; at another it is not.
     other = pipe(whole, 35.0, 900.0, 2)
-    found = grow(mixed, *pipe(whole, 75.0, 600.0, 1), more=(other,), most=2, beam=3)
+    found = grow(mixed, *pipe(whole, 75.0, 600.0, 1), more=(other,), most=2, beam=2)
     assert added(found) == [("delay", "water", "history"), ("thermal_mass", "water", "history")]
     delay, wall = (r.added for r in found.rungs[1:] if r.added is not None)
     assert delay.value == pytest.approx(84.36, rel=0.15) and wall.value == pytest.approx(101141.0, rel=0.25)

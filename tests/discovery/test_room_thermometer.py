@@ -22,10 +22,10 @@ def read_wrong(bench: Bench, record: Columns, error_K: Array) -> Columns:
     return replace(record, inputs=inputs)
 
 
-def test_a_room_thermometer_that_exaggerates_is_no_heat_at_the_radiator(brisk: Bench, brisk_healthy: Columns) -> None:
-    record = brisk.record(12.0, seed=4)
-    room = record.inputs[:, brisk.network.input_columns.index("T_ambient_C")]
-    found = diagnose(brisk.network, read_wrong(brisk, record, 4.0 * np.maximum(room - 22.0, 0.0)), brisk_healthy)
+def test_a_room_thermometer_that_exaggerates_is_no_heat_at_the_radiator(pair: Bench, pair_healthy: Columns) -> None:
+    record = pair.record(12.0, seed=4)
+    room = record.inputs[:, pair.network.input_columns.index("T_ambient_C")]
+    found = diagnose(pair.network, read_wrong(pair, record, 4.0 * np.maximum(room - 22.0, 0.0)), pair_healthy)
     first = found.effects[0]
     assert (first.kind, first.where, first.driver) == ("sensor", "T_ambient_C", "temperature")
 
@@ -43,13 +43,13 @@ def test_a_room_thermometer_in_the_exhaust_follows_the_heater(brisk: Bench, bris
     assert {"law_input", "actuator"} <= {e.kind for e in again.elements}
 
 
-def test_a_twin_that_has_taken_up_an_error_of_the_room_is_diagnosed_again(brisk: Bench, brisk_healthy: Columns) -> None:
+def test_a_twin_that_has_taken_up_an_error_of_the_room_is_diagnosed_again(pair: Bench, pair_healthy: Columns) -> None:
     own = with_elements(
-        brisk.network, {"actuator_of_T_ambient_C": {"kind": "actuator", "column": "T_ambient_C", "offset": -2.0}}
+        pair.network, {"actuator_of_T_ambient_C": {"kind": "actuator", "column": "T_ambient_C", "offset": -2.0}}
     )
-    good = brisk_healthy
-    before = CommissionedRecord(good.time_s, good.inputs, good.measured, before=(brisk.network,))
-    record = brisk.record(12.0)
-    assert diagnose(own, read_wrong(brisk, record, np.full(len(record.time_s), 2.0)), before).verdict == "adequate"
-    (more,) = diagnose(own, read_wrong(brisk, record, np.full(len(record.time_s), 3.0)), before).effects
+    good = pair_healthy
+    before = CommissionedRecord(good.time_s, good.inputs, good.measured, before=(pair.network,))
+    record = pair.record(12.0)
+    assert diagnose(own, read_wrong(pair, record, np.full(len(record.time_s), 2.0)), before).verdict == "adequate"
+    (more,) = diagnose(own, read_wrong(pair, record, np.full(len(record.time_s), 3.0)), before).effects
     assert (more.kind, more.where) == ("sensor", "T_ambient_C") and more.value == pytest.approx(1.0, abs=0.1)

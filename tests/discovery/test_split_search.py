@@ -16,7 +16,6 @@ from twin.revisions import with_elements
 
 HEAT = {"kind": "heat_source", "node": "modules", "power": 15.0}
 MASS = {"kind": "hidden_mass", "node": "tank", "conductance": 6.0, "capacity": 1.5e3}
-START = np.array([37.0, 36.8, 34.5, 34.0])
 
 
 def heat_then_mass(bench: Bench, heat_h: float, mass_h: float) -> Columns:
@@ -24,11 +23,11 @@ def heat_then_mass(bench: Bench, heat_h: float, mass_h: float) -> Columns:
     t, u = bench.inputs(16.0, 3)
     hours = sorted({0.0, heat_h, mass_h})
     cuts = [*(int(np.searchsorted(t, h * HOUR)) for h in hours), len(t)]
-    parts, state = [], START
+    parts, state = [], np.array(bench.start_C)
     for hour, low, high in zip(hours, cuts[:-1], cuts[1:], strict=True):
         there = {"heat": HEAT} if hour >= heat_h else {}
         network = with_elements(bench.network, {**there, "mass": MASS} if hour >= mass_h else there)
-        state = np.append(state, state[3])[: len(network.nodes)]
+        state = np.append(state, state[bench.network.nodes.index("tank")])[: len(network.nodes)]
         read, ends = Kernel(network, ()).trace(network.values, state, t[low : high + 1], u[low : high + 1])
         parts.append(read[0][: high - low])
         state = ends[0][: len(network.nodes)]
@@ -63,12 +62,10 @@ def test_a_second_effect_that_the_fit_would_see_the_first_minutes_of_is_seen_for
 
 
 @pytest.mark.parametrize("mass_h", [7.0, 0.0])
-def test_a_lesser_mass_is_told_beside_heat(brisk: Bench, brisk_healthy: Columns, mass_h: float) -> None:
-    record = heat_then_mass(brisk, 3.0, mass_h)
-    grid = on_grid(brisk.network, record.time_s, record.inputs, record.measured)
-    split_search = SplitSearch.of(
-        brisk.network, record, basis(brisk.network, brisk_healthy, grid), grid, lambda _: None
-    )
+def test_a_lesser_mass_is_told_beside_heat(pair: Bench, pair_healthy: Columns, mass_h: float) -> None:
+    record = heat_then_mass(pair, 3.0, mass_h)
+    grid = on_grid(pair.network, record.time_s, record.inputs, record.measured)
+    split_search = SplitSearch.of(pair.network, record, basis(pair.network, pair_healthy, grid), grid, lambda _: None)
     told = searched(split_search.part(grid.part(0, int(0.75 * len(grid.time))))).told
     assert told is not None
     assert {(e.candidate.kind, e.candidate.where) for e in told.entries} == {
@@ -105,9 +102,9 @@ def test_a_hose_of_some_litres_is_found_though_its_score_promises_nothing(
 
 
 @pytest.mark.parametrize("onset_h", [6.0, 0.0])
-def test_without_a_healthy_record_what_is_late_is_told_only_where_it_came_in(brisk: Bench, onset_h: float) -> None:
+def test_without_a_healthy_record_what_is_late_is_told_only_where_it_came_in(pair: Bench, onset_h: float) -> None:
     """However large: how much of it a twin of mixed volumes leaves all along nobody has said."""
-    later = brisk.with_values(T_heater_C__lag_s=60.0)
-    found = diagnose(brisk.network, brisk.record(16.0, seed=4, changed=later, onset_h=onset_h))
+    later = pair.with_values(T_modules_C__lag_s=60.0)
+    found = diagnose(pair.network, pair.record(16.0, seed=4, changed=later, onset_h=onset_h))
     told = {(e.kind, e.where, e.driver) for e in found.effects}
-    assert (("sensor", "T_heater_C", "rate_of_change") in told) == (onset_h > 0.0)
+    assert (("sensor", "T_modules_C", "rate_of_change") in told) == (onset_h > 0.0)

@@ -76,14 +76,14 @@ def test_the_threshold_is_what_noise_seldom_reaches() -> None:
     assert null.quantile(0.01) == pytest.approx(3.5 - 0.3 * np.log(-np.log(0.99)), abs=0.15)
 
 
-def test_blocks_left_out_speak_for_what_is_there_and_against_what_is_not(brisk: Bench, brisk_healthy: Columns) -> None:
-    heated = brisk.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 150.0})
-    real = diagnose(brisk.network, brisk.record(24.0, changed=heated, onset_h=4.0), brisk_healthy)
+def test_blocks_left_out_speak_for_what_is_there_and_against_what_is_not(pair: Bench, pair_healthy: Columns) -> None:
+    heated = pair.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 150.0})
+    real = diagnose(pair.network, pair.record(24.0, changed=heated, onset_h=4.0), pair_healthy)
     assert holds(real.folds) and all(f.gain > 0.0 for f in real.folds)
     # What ended again, taken for something that stays: it gains where it is and loses where it is not.
-    ended = brisk.record(24.0, changed=heated, onset_h=4.0, until_h=11.0)
-    grid = on_grid(brisk.network, ended.time_s, ended.inputs, ended.measured)
-    known = basis(brisk.network, brisk_healthy, grid)
+    ended = pair.record(24.0, changed=heated, onset_h=4.0, until_h=11.0)
+    grid = on_grid(pair.network, ended.time_s, ended.inputs, ended.measured)
+    known = basis(pair.network, pair_healthy, grid)
     state = known.probe.first_state(grid)
     run = known.probe.run(grid, state)
     score_test = ScoreTest(known.probe, grid, state, run, known.noise, known.prior)
@@ -103,12 +103,12 @@ def test_a_block_that_says_nothing_is_not_asked() -> None:
     assert holds(tuple(Fold(0.0, 1.0, 10, g) for g in (-9.0, 21.0, 7.0)))  # as chance does to a weak one
 
 
-def test_a_faint_effect_may_have_begun_at_more_times_than_a_strong_one(brisk: Bench, brisk_healthy: Columns) -> None:
+def test_a_faint_effect_may_have_begun_at_more_times_than_a_strong_one(pair: Bench, pair_healthy: Columns) -> None:
     onset_s, spans = 5.0 * HOUR, []
     for power in (1.0, 100.0):
-        record = brisk.record(12.0, changed=brisk.with_values(modules_power__power=power), onset_h=5.0)
-        grid = on_grid(brisk.network, record.time_s, record.inputs, record.measured)
-        part = Part.of(basis(brisk.network, brisk_healthy, grid), grid)
+        record = pair.record(12.0, changed=pair.with_values(modules_power__power=power), onset_h=5.0)
+        grid = on_grid(pair.network, record.time_s, record.inputs, record.measured)
+        part = Part.of(basis(pair.network, pair_healthy, grid), grid)
         heat = next(e for e in part.scanned if e.label == ("heat_source", "modules", "constant"))
         first_s, last_s = able_to_begin(part.score_test, heat, np.zeros(0))
         assert first_s - part.score_test.step_s <= onset_s <= last_s + part.score_test.step_s

@@ -73,7 +73,7 @@ def test_the_main_effect_is_named_and_nothing_beside_it_that_only_mends_its_form
     t, u = driven()
     true = exchanger.with_values({"tube.fan_exponent": 0.5})
     clean = simulate(true, t, u, np.array([60.0]))
-    found = diagnose_grown(exchanger, read(true, t, u, 0.5 * np.sin(clean)), most=2)
+    found = diagnose_grown(exchanger, read(true, t, u, 0.5 * np.sin(clean)), most=2, beam=2)
     assert found.verdict == "effect found" and "structural error" in found.summary
     (effect,) = found.effects
     assert (effect.kind, effect.where) == ("heat_rejection", "water")

@@ -91,13 +91,11 @@ def test_what_shows_in_the_held_out_part_alone_is_found(brisk: Bench, brisk_heal
     assert any("kept out of the fit" in note for note in found.notes)
 
 
-def test_a_reading_that_is_off_now_and_then_is_told_from_heat_and_from_flow(
-    brisk: Bench, brisk_healthy: Columns
-) -> None:
-    record = brisk.record(14.0)
+def test_a_reading_that_is_off_now_and_then_is_told_from_heat_and_from_flow(pair: Bench, pair_healthy: Columns) -> None:
+    record = pair.record(14.0)
     hours, measured = record.time_s / HOUR, record.measured.copy()
-    measured[((hours > 3) & (hours < 5)) | ((hours > 7) & (hours < 8)) | ((hours > 9) & (hours < 12)), 3] += 0.8
-    found = diagnose(brisk.network, replace(record, measured=measured), brisk_healthy)
+    measured[((hours > 3) & (hours < 5)) | ((hours > 7) & (hours < 8)) | ((hours > 9) & (hours < 12)), 1] += 0.8
+    found = diagnose(pair.network, replace(record, measured=measured), pair_healthy)
     assert found.verdict == "effect found" and found.network is None
     (effect,) = found.effects
     assert (effect.kind, effect.where, effect.shape) == ("sensor", "T_tank_C", "own course")
@@ -207,7 +205,7 @@ def test_a_valve_that_opens_as_nothing_recorded_does_is_no_sure_error_of_a_therm
     rng = np.random.default_rng(31)
     t, u = brisk.inputs(16.0, 1)
     edges = np.append(np.searchsorted(t, np.arange(5.0 * HOUR, 16.0 * HOUR, 0.5 * HOUR)), len(t) - 1)
-    parts, state, begun = [], np.array([37.0, 36.8, 34.5, 34.0]), 0
+    parts, state, begun = [], np.array(brisk.start_C), 0
     for k, last in enumerate(edges.tolist()):
         share = float(rng.uniform(0.0, 0.5)) if k else 0.0
         table = {"kind": "bypass", "around": ["radiator"], "fraction": share}

@@ -49,11 +49,11 @@ def test_an_unknown_needs_the_odds_of_a_claim_at_the_place_of_a_named_effect_alo
     assert found.unlisted == pytest.approx(20.0)
 
 
-def test_the_error_of_form_follows_each_input_that_moves(brisk: Bench, brisk_healthy: Columns) -> None:
-    record = brisk.record(8.0, seed=3)
+def test_the_error_of_form_follows_each_input_that_moves(pair: Bench, pair_healthy: Columns) -> None:
+    record = pair.record(8.0, seed=3)
     still = record.inputs.copy()
     still[:, 1] = 85.0
-    moving, held = (part_of(brisk, brisk_healthy, replace(record, inputs=u)).score_test for u in (record.inputs, still))
+    moving, held = (part_of(pair, pair_healthy, replace(record, inputs=u)).score_test for u in (record.inputs, still))
     assert form_basis(moving).shape[1] - form_basis(held).shape[1] == 1
     followed = form_basis(held)[:, -3:]
     assert np.allclose(followed.mean(axis=0), 0.0, atol=1e-9) and np.allclose(followed.std(axis=0), 1.0)
@@ -77,9 +77,9 @@ def test_less_than_a_block_of_held_out_record_contradicts_nothing(
     assert acceptance.accepted(case) is told  # type: ignore[arg-type]
 
 
-def test_an_actuator_may_fail_altogether(brisk: Bench) -> None:
+def test_an_actuator_may_fail_altogether(pair: Bench) -> None:
     """Also where a tunable of the twin may not go so far."""
-    gains = [c for c in catalogue(brisk.network) if c.kind == "actuator" and c.driver == "constant" and c.adds]
+    gains = [c for c in catalogue(pair.network) if c.kind == "actuator" and c.driver == "constant" and c.adds]
     assert gains and all(c.lower == -1.0 for c in gains)
 
 
