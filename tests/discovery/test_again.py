@@ -93,7 +93,7 @@ def test_heat_that_was_taken_for_constant_is_not_believed_where_it_follows_the_f
     truth = brisk.with_element(
         "fan", {"kind": "heat_source", "node": "tank", "driver": "fan_speed_pct", "law": "cubed", "power_100": 120.0}
     )
-    answer = diagnose(own, brisk.of(truth).record(16.0), brisk.of(own).record(10.0, seed=7))
+    answer = diagnose(own, brisk.of(truth).record(12.0), brisk.of(own).record(10.0, seed=7))
     assert answer.verdict == "effect found" and answer.network is None
     (unknown,) = answer.effects
     assert (unknown.where, unknown.driver) == ("tank", "fan_speed") and unknown.shape == "own course"

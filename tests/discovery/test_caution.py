@@ -33,9 +33,9 @@ def test_a_commissioned_twin_may_leave_more_of_a_rig_that_moves_more(bench: Benc
     assert not as_under_another_load(bench.network, left(0.16))  # nothing is known of its commissioning
 
 
-def test_nothing_is_searched_for_in_a_twin_that_is_as_good_as_when_commissioned(pair: Bench) -> None:
-    revision = replace(pair.network.revision, error_after_K={s.name: 1e-3 for s in pair.network.sensors}, number=1)
-    network = replace(pair.network, revision=revision)
+def test_nothing_is_searched_for_in_a_twin_that_is_as_good_as_when_commissioned(bench: Bench) -> None:
+    revision = replace(bench.network.revision, error_after_K={s.name: 1e-3 for s in bench.network.sensors}, number=1)
+    network = replace(bench.network, revision=revision)
     heard: list[str] = []
-    assert diagnose(network, pair.record(16.0, seed=9), say=heard.append).verdict == "adequate"
+    assert diagnose(network, bench.record(16.0, seed=9), say=heard.append).verdict == "adequate"
     assert "re-tuning" in heard and not [what for what in heard if what.startswith("fitting")]

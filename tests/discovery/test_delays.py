@@ -41,14 +41,14 @@ def test_delay_that_a_twin_already_has_may_only_grow(bench: Bench) -> None:
     assert all(c.lower == 0.0 for c in delays(lagging))
 
 
-def test_thermometer_that_is_earlier_than_its_twin_is_not_called_late(pair: Bench) -> None:
-    twin = pair.of(pair.with_values(T_tank_C__lag_s=60.0))
-    earlier = pair.with_values(T_tank_C__lag_s=20.0)
+def test_thermometer_that_is_earlier_than_its_twin_is_not_called_late(brisk: Bench) -> None:
+    twin = brisk.of(brisk.with_values(T_radiator_C__lag_s=60.0))
+    earlier = brisk.with_values(T_radiator_C__lag_s=20.0)
     found = diagnose(twin.network, twin.record(16.0, seed=3, changed=earlier, onset_h=6.0), twin.record(10.0, seed=7))
     assert "by -" not in found.summary
     late = [e for e in found.effects if "late" in e.says]
     assert all(e.value > 0.0 for e in late)
-    assert not [e for e in late if e.where == "T_tank_C"]
+    assert not [e for e in late if e.where == "T_radiator_C"]
 
 
 def test_thermometer_that_is_later_than_its_twin_still_is(pair: Bench) -> None:

@@ -132,12 +132,14 @@ def test_block_means_of_what_ends_are_its_average(shape: Shape) -> None:
 
 
 @pytest.mark.parametrize("hours", [2.0, 3.0])
-def test_a_record_of_a_few_blocks_has_no_room_for_an_interval(pair: Bench, pair_healthy: Columns, hours: float) -> None:
+def test_a_record_of_a_few_blocks_has_no_room_for_an_interval(
+    brisk: Bench, brisk_healthy: Columns, hours: float
+) -> None:
     """Samples ten minutes apart: two and three blocks of an hour."""
     every = slice(None, None, 120)
-    record = pair.record(hours * 3600.0 / HOUR)
+    record = brisk.record(hours * 3600.0 / HOUR)
     coarse = Columns(*(np.ascontiguousarray(x[every]) for x in (record.time_s, record.inputs, record.measured)))
-    found = diagnose(pair.network, coarse, pair_healthy)
+    found = diagnose(brisk.network, coarse, brisk_healthy)
     assert all(e.shape != "spell" for e in found.effects)
 
 

@@ -87,16 +87,16 @@ def test_a_commissioned_twin_and_a_long_record_are_left_to_the_contest(bench: Be
     assert len(bench.record(16.0).time_s) > LONGEST and not fits_growth(bench.network, bench.record(16.0))
 
 
-def test_without_a_healthy_record_a_twin_as_good_as_when_commissioned_lacks_nothing(pair: Bench) -> None:
+def test_without_a_healthy_record_a_twin_as_good_as_when_commissioned_lacks_nothing(bench: Bench) -> None:
     """What it leaves may look like an effect; the same twin with a real one is not as good."""
-    sensors = pair.network.sensor_names
+    sensors = bench.network.sensor_names
     revision = Revision(1, error_after_K=dict.fromkeys(sensors, 0.06))
-    commissioned = replace(pair.network, revision=revision)
+    commissioned = replace(bench.network, revision=revision)
     good = dict.fromkeys(sensors, SensorError(0.2, 0.064, 0.05, 0.05))
     assert as_commissioned(commissioned, good)
     assert not as_commissioned(commissioned, good | {sensors[0]: SensorError(0.2, 0.07, 0.05, 0.05)})
     assert not as_commissioned(commissioned, {})
-    heated = pair.with_element("more", {"kind": "heat_source", "node": "modules", "power": 40.0})
-    found = diagnose(commissioned, pair.record(16.0, changed=heated, onset_h=5.0))
-    assert [(e.kind, e.where) for e in found.effects] == [("heat_source", "modules")]
-    assert diagnose(commissioned, pair.record(16.0, seed=3)).verdict == "adequate"
+    heated = bench.with_element("more", {"kind": "heat_source", "node": "heater", "power": 40.0})
+    found = diagnose(commissioned, bench.record(16.0, changed=heated, onset_h=5.0))
+    assert [(e.kind, e.where) for e in found.effects] == [("heat_source", "heater")]
+    assert diagnose(commissioned, bench.record(16.0, seed=3)).verdict == "adequate"

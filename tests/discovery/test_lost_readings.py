@@ -61,9 +61,9 @@ def test_a_sensor_that_is_missing_everywhere_is_no_refusal(brisk: Bench, brisk_h
     assert any(gone in note for note in found.notes) and gone not in found.errors
 
 
-def test_a_sensor_that_the_healthy_record_lacks_claims_nothing(pair: Bench, pair_healthy: Columns) -> None:
-    record = pair.record(16.0, 4, pair.with_values(T_tank_C__bias_K=1.0), onset_h=0.0)
-    found = diagnose(pair.network, record, without(pair_healthy, pair, "T_tank_C"))
+def test_a_sensor_that_the_healthy_record_lacks_claims_nothing(brisk: Bench, brisk_healthy: Columns) -> None:
+    record = brisk.record(16.0, 4, brisk.with_values(T_tank_C__bias_K=1.0), onset_h=0.0)
+    found = diagnose(brisk.network, record, without(brisk_healthy, brisk, "T_tank_C"))
     assert found.verdict == "adequate"
     assert any("T_tank_C" in note and "healthy record" in note for note in found.notes)
 
