@@ -33,15 +33,15 @@ def test_exchanged_columns_are_asked_about(brisk: Bench, brisk_healthy: Columns,
 @pytest.mark.parametrize(("unit", "scale", "zero"), [("degrees Fahrenheit", 1.8, 32.0), ("kelvin", 1.0, 273.15)])
 @pytest.mark.parametrize("column", ["T_tank_C", "T_ambient_C"])
 def test_a_temperature_in_another_unit_is_asked_about(
-    pair: Bench, pair_healthy: Columns, record: Columns, column: str, unit: str, scale: float, zero: float
+    brisk: Bench, brisk_healthy: Columns, record: Columns, column: str, unit: str, scale: float, zero: float
 ) -> None:
     measured, inputs = record.measured.copy(), record.inputs.copy()
-    if column in pair.network.input_columns:
-        values = inputs[:, pair.network.input_columns.index(column)]
+    if column in brisk.network.input_columns:
+        values = inputs[:, brisk.network.input_columns.index(column)]
     else:
-        values = measured[:, pair.network.sensor_names.index(column)]
+        values = measured[:, brisk.network.sensor_names.index(column)]
     values[:] = scale * values + zero
-    (asked,) = column_mistakes(pair.network, replace(record, measured=measured, inputs=inputs), pair_healthy)
+    (asked,) = column_mistakes(brisk.network, replace(record, measured=measured, inputs=inputs), brisk_healthy)
     assert asked.startswith(f"{column} looks like {unit}: read so, the twin is off by 0.0")
 
 
@@ -55,11 +55,11 @@ def test_plugs_exchanged_amid_a_record_are_asked_about(brisk: Bench, brisk_healt
     )
 
 
-def test_a_logger_that_is_set_to_another_unit_for_a_time_is_asked_about(pair: Bench, record: Columns) -> None:
-    tank = pair.network.sensor_names.index("T_tank_C")
+def test_a_logger_that_is_set_to_another_unit_for_a_time_is_asked_about(brisk: Bench, record: Columns) -> None:
+    tank = brisk.network.sensor_names.index("T_tank_C")
     measured, amid = record.measured.copy(), (record.time_s >= 600.0) & (record.time_s < 1800.0)
     measured[amid, tank] = 1.8 * measured[amid, tank] + 32.0
-    (asked,) = column_mistakes(pair.network, replace(record, measured=measured))
+    (asked,) = column_mistakes(brisk.network, replace(record, measured=measured))
     assert asked.startswith("from 10 min to 30 min, T_tank_C looks like degrees Fahrenheit")
 
 
@@ -74,17 +74,17 @@ def test_readings_without_a_partner_do_not_make_an_exchange_longer(brisk: Bench,
     assert not column_mistakes(brisk.network, replace(record, measured=measured))
 
 
-def test_effects_of_a_rig_are_no_mistakes_of_its_file(pair: Bench, pair_healthy: Columns, record: Columns) -> None:
-    assert not column_mistakes(pair.network, record, pair_healthy)
-    heated = pair.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 300.0})
-    assert not column_mistakes(pair.network, pair.record(8.0, changed=heated), pair_healthy)
-    for j in range(len(pair.network.sensors)):
+def test_effects_of_a_rig_are_no_mistakes_of_its_file(brisk: Bench, brisk_healthy: Columns, record: Columns) -> None:
+    assert not column_mistakes(brisk.network, record, brisk_healthy)
+    heated = brisk.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 300.0})
+    assert not column_mistakes(brisk.network, brisk.record(8.0, changed=heated), brisk_healthy)
+    for j in range(len(brisk.network.sensors)):
         for error in (3.0, -0.2 * record.measured[:, j]):
             measured = record.measured.copy()
             measured[:, j] += error
-            assert not column_mistakes(pair.network, replace(record, measured=measured), pair_healthy)
+            assert not column_mistakes(brisk.network, replace(record, measured=measured), brisk_healthy)
             measured[: len(measured) // 2] = record.measured[: len(measured) // 2]
-            assert not column_mistakes(pair.network, replace(record, measured=measured), pair_healthy)
+            assert not column_mistakes(brisk.network, replace(record, measured=measured), brisk_healthy)
     measured = np.full_like(record.measured, np.nan)
     measured[:, 0] = record.measured[:, 0]
-    assert not column_mistakes(pair.network, replace(record, measured=measured), pair_healthy)
+    assert not column_mistakes(brisk.network, replace(record, measured=measured), brisk_healthy)

@@ -77,7 +77,8 @@ def law_weight(candidate: Candidate) -> float:
 def sign_weight(entry: Entry) -> float:
     """Return the probability of the sign of an effect's size, relative to that of both signs being equally likely."""
     c = entry.candidate
-    if c.kind != "heat_source" or c.driver == "temperature" or not c.lower < 0.0 < c.upper:
+    given_off = c.kind == "heat_source" and c.change == "new" and c.driver != "temperature"
+    if not given_off or not c.lower < 0.0 < c.upper:
         return 1.0
     return 2.0 * (TAKES_UP if entry.size < 0.0 else 1.0 - TAKES_UP)
 
