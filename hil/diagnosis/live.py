@@ -12,6 +12,7 @@ import math
 import os
 import re
 import shlex
+import shutil
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drivers.signals import ConfigurationError, Quality
+from hil.errors import exit_code
 from hil.journal import JournalReader, JournalSamples, JournalWriter, samples_sha256
 from hil.record import Parts
 from hil.tracking import Child
@@ -240,7 +242,7 @@ class _DiagnosisWorker:
     def _write(self, diagnosis: Diagnosis, out: Path) -> Path:
         from hil.diagnosis.experiment_file import rig_of, write_experiment
         from hil.diagnosis.healthy_record import is_other_record
-        from hil.diagnosis.results import provenance, write
+        from hil.diagnosis.results import provenance, whole_results, write
 
         run = self._config.journal.parent
         extra: dict[str, object] = {
@@ -254,9 +256,10 @@ class _DiagnosisWorker:
                 ["--healthy"] if is_other_record(self._config.twin, self._config.healthy) else [],
             ),
         }
-        page = write(diagnosis, self._network.sensor_names, out, extra)
-        write_experiment(diagnosis, out, rig_of(run))
-        return page
+        with whole_results(out, extra) as staged:
+            page = write(diagnosis, self._network.sensor_names, staged, extra)
+            write_experiment(diagnosis, staged, rig_of(run))
+        return out / page.name
 
 
 def _serve(connection: Connection, config: LiveConfig) -> None:
@@ -289,6 +292,7 @@ class LiveDiagnosis:
         self._tick, self._time_s = -1, 0.0
         self._last: InterimFinding | None = None
         self._refused = ""
+        self._over = False
         self._answer = asyncio.Event()
         self._reply: Reply | None = None
         self._failure: str | None = None
@@ -321,6 +325,7 @@ class LiveDiagnosis:
 
     async def finish(self, out: Path) -> Reply:
         """Diagnose the whole run into the folder `out`, and wait for it, since the run is over."""
+        self._over = True
         self._journal.commit()
         try:
             async with asyncio.timeout(FINISH_TIMEOUT_S):
@@ -354,7 +359,8 @@ class LiveDiagnosis:
             self._reply = message
             self._tell(message)
         else:
-            self._fail(f"{type(message).__name__}: {message}")
+            known = exit_code(message) is not None
+            self._fail(str(message) if known else f"{type(message).__name__}: {message}")
         self._answer.set()
 
     def _tell(self, reply: Reply) -> None:
@@ -375,7 +381,10 @@ class LiveDiagnosis:
     def _fail(self, why: str) -> None:
         if self._failure is None:
             self._failure = why
-            self._event("ERROR", f"the live diagnosis stopped, the run goes on without it: {why}")
+            what = (
+                "the last diagnosis failed" if self._over else "the live diagnosis stopped, the run goes on without it"
+            )
+            self._event("ERROR", f"{what}: {why}")
         self._free = False
         if self._child is not None:
             self._child.ignore()
@@ -385,4 +394,8 @@ class LiveDiagnosis:
         """End the process in any state; harmless when repeated."""
         child, self._child = self._child, None
         if child is not None:
+            from hil.diagnosis.store import STAGED
+
             await child.end()
+            for left in self._config.journal.parent.glob(f"{STAGED}*"):
+                shutil.rmtree(left, ignore_errors=True)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import platform
-from collections.abc import Callable, Mapping, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,7 @@ from hil.diagnosis.store import (
     PAGE,
     PROPOSAL,
     REVIEW,
+    STAGED,
     curves_of,
     write_curves,
     write_document,
@@ -59,6 +62,20 @@ def provenance(
         "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "host": platform.node(),
     }
+
+
+@contextlib.contextmanager
+def whole_results(out: Path, extra: Mapping[str, Any]) -> Iterator[Path]:
+    """Give a folder for the results of a diagnosis, which go to `out` when the block has ended, the document last.
+
+    So a process that is stopped in the block leaves nothing in `out`. Its folder begins with `STAGED`.
+    """
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=STAGED) as name:
+        yield Path(name)
+        _keep_other(out, extra)
+        out.mkdir(parents=True, exist_ok=True)
+        for file in sorted(Path(name).iterdir(), key=lambda file: file.name == DOCUMENT):
+            file.replace(out / file.name)
 
 
 def write(diagnosis: Diagnosis, sensors: tuple[str, ...], out: Path, extra: dict[str, object]) -> Path:

@@ -22,6 +22,8 @@ from twin.discovery import Diagnosis
 
 DOCUMENT, CURVES, PAGE, REVIEW = "diagnosis.json", "diagnosis.parquet", "diagnosis.html", "diagnosis.rrd"
 EXPERIMENT, PROPOSAL = "experiment.csv", "empirical.toml"
+STAGED = ".diagnosis-"
+"""Begin of the name of a folder in which results are made."""
 _KEY = b"hil.diagnosis"
 
 Floats = NDArray[np.float64]

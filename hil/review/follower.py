@@ -17,7 +17,7 @@ from hil.review.batches import GROUP, BatchCollector, ReviewBatch, Rows, merged,
 from hil.review.diagnosis_tab import batches, findings_of_run, notes, plan_of_findings, with_findings
 from hil.review.plan import ReviewPlan
 from hil.review.rerun_io import Recording
-from hil.review.viewer import listens
+from hil.review.viewer import listens, require_complete
 
 POLL_S = 0.25
 FILE_ROWS = 3600
@@ -136,6 +136,7 @@ def write_findings_review(folder: Path, rrd: Path) -> None:
         _send_findings(recording, found, plan)
         recording.layout(plan, plan.header.duration_s)
         recording.close()
+        require_complete(path)
 
 
 def _send_findings(recording: Recording, found: Findings, plan: ReviewPlan) -> None:
@@ -212,3 +213,5 @@ def follow(
                 file.close()
             if screen is not None:
                 screen.close()
+        if path is not None:
+            require_complete(path)

@@ -27,7 +27,7 @@ class Follower:
     viewer: Viewer | None
 
     def finish(self) -> bool:
-        """Let it send all committed rows and close the file; return True if that is complete.
+        """Let it send all committed rows and close the file; return True if that succeeded.
 
         The viewer stays open for the operator.
         """

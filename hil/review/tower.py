@@ -23,6 +23,7 @@ from hil.journal import Header
 from hil.review.batches import Rows, States, Texts
 from hil.review.plan import FAINT, GREEN, NEUTRAL, ORANGE, RED, TRACKED, Colour, Lane, Lines, Panel, ReviewPlan, Stack
 from hil.review.rerun_io import Recording
+from hil.review.viewer import require_complete
 from hil.tower import seconds
 
 EVERY = 10
@@ -85,6 +86,7 @@ def write_tower_review(
                 recording.send(batch)
         recording.layout(plan, end)
         recording.close()
+        require_complete(path)
 
 
 def _cells(table: Path) -> dict[int, TableColumns]:

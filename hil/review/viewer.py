@@ -83,6 +83,17 @@ def binary() -> Path:
     return Path(spec.origin).with_name("rerun.exe" if sys.platform == "win32" else "rerun")
 
 
+def require_complete(rrd: Path) -> None:
+    """Raise OSError if a Rerun file lacks some of what was sent to it: Rerun reports no failed write, as on a full
+    disk."""
+    command = [str(binary()), "rrd", "verify", str(rrd)]
+    done = subprocess.run(
+        command, env=os.environ | {"CI": "true"}, stdin=subprocess.DEVNULL, capture_output=True, check=False
+    )
+    if done.returncode != 0:
+        raise OSError("Rerun could not write all of it: make room on the disk")
+
+
 def open_viewer(
     *,
     headless: bool = False,

@@ -2,6 +2,8 @@
 
 import pytest
 
+from tests.discovery.conftest import Bench
+from twin.discovery.effects.catalogue import catalogue
 from twin.discovery.effects.phrases import agreeing, amount, is_plural
 from twin.discovery.effects.statement import disturbance_statement
 
@@ -78,3 +80,12 @@ def test_several_things_take_the_verb_of_a_plural(says: str, of_several: str) ->
 def test_a_disturbance_of_several_things_is_told_of_them_all(value: float, unit: str, text: str) -> None:
     assert disturbance_statement("modules", value, unit) == text
     assert disturbance_statement("modules", 1.0, "W", (-2.0, 3.0), average=True).startswith("modules give off between")
+
+
+def test_a_gain_that_the_twin_has_is_named_beside_its_change(brisk: Bench) -> None:
+    """A heater at a fifth of its command delivers less than its command, also where the twin had still less."""
+    own = brisk.with_element("drive", {"kind": "actuator", "column": "heater_power_W", "gain": {"value": 0.06}})
+    says = {c.says for c in catalogue(own) if c.kind == "actuator" and "drive.gain" in c.changes}
+    assert says == {"delivers {share} more of its command than the 6 % that the twin has"}
+    new = {c.says for c in catalogue(brisk.network) if c.kind == "actuator" and "more than its command" in c.says}
+    assert new == {"delivers {share} more than its command"}

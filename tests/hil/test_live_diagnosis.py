@@ -23,6 +23,7 @@ from hil.diagnosis.live import (
     interval_of,
     refusal,
 )
+from hil.diagnosis.results import whole_results
 from hil.diagnosis.store import has_diagnosis
 from hil.journal.writer import Header, JournalReader, JournalWriter
 from hil.review import read_columns, read_words
@@ -193,6 +194,32 @@ async def test_an_operator_may_skip_the_last_diagnosis(live):
     asyncio.get_running_loop().call_soon(live.give_up)
     reply = await live.finish(Path("nowhere"))
     assert reply.problem == "skipped by the operator"
+
+
+def test_results_that_are_stopped_while_they_are_made_leave_those_before(tmp_path):
+    out, old = tmp_path / "diagnosis", {"record": "r", "provenance": {"files": {"twin": {"sha256": "1"}}}}
+    for name, text in (("diagnosis.json", json.dumps(old)), ("diagnosis.html", "old")):
+        with whole_results(out, old) as staged:
+            (staged / name).write_text(text, encoding="utf-8")
+
+    def stopped() -> None:
+        with whole_results(out, old) as staged:
+            (staged / "diagnosis.json").write_text("{}", encoding="utf-8")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped()
+    assert {path.name for path in tmp_path.iterdir()} == {"diagnosis"}
+    assert json.loads((out / "diagnosis.json").read_text(encoding="utf-8")) == old
+    assert {path.name for path in out.iterdir()} == {"diagnosis.json", "diagnosis.html"}
+
+
+async def test_what_a_killed_process_has_not_finished_goes_with_it(live):
+    left = live._config.journal.parent / ".diagnosis-x1"
+    left.mkdir()
+    live._child = SimpleNamespace(end=lambda: asyncio.sleep(0))  # type: ignore[assignment]
+    await live.close()
+    assert not left.exists()
 
 
 @pytest.fixture(scope="module")

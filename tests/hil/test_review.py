@@ -32,7 +32,7 @@ from hil.review import show as show_module
 from hil.review.batches.twin_bands import proposal_text
 from hil.review.plan import make_plan
 from hil.review.plan.styles import path
-from hil.review.viewer import HOST, _free_port, binary, listens
+from hil.review.viewer import HOST, _free_port, binary, listens, require_complete
 from hil.tracking.twins import Proposed
 from tests.hil.synthetic_journal import COMMISSIONED, SENSORS, Truth, make, put_ticks, write
 
@@ -316,6 +316,19 @@ def test_a_follower_that_fails_leaves_no_file_and_says_so_to_its_caller_alone(
     assert not follower.finish()
     assert [path.name for path in tmp_path.iterdir()] == ["journal.sqlite"]
     assert capfd.readouterr().err == ""
+
+
+def test_a_file_that_rerun_could_not_write_in_full_is_no_review(tmp_path: Path, truth: Truth) -> None:
+    """As on a full disk, of which Rerun says nothing."""
+    write(tmp_path / "journal.sqlite", truth)
+    rrd = tmp_path / "review.rrd"
+    write_review(tmp_path / "journal.sqlite", rrd)
+    require_complete(rrd)
+    whole = rrd.read_bytes()
+    for damaged in (whole[: len(whole) // 2], whole[:2000] + whole[6000:]):
+        rrd.write_bytes(damaged)
+        with pytest.raises(OSError, match="make room"):
+            require_complete(rrd)
 
 
 def test_a_missing_journal_is_one_sentence_and_leaves_nothing(tmp_path: Path) -> None:

@@ -147,7 +147,10 @@ def _faults(column: str, name: str, now: Mapping[str, float], full: float) -> li
             0.03,
             -gain,
             3.0 - gain,
-            "delivers {share} more than its command",
+            # The share is of the command, not of what it delivered before.
+            "delivers {share} more than its command"
+            if gain == 1.0
+            else f"delivers {{share}} more of its command than the {100.0 * gain:.3g} % that the twin has",
         ),
         Candidate(
             "actuator",

@@ -16,7 +16,7 @@ from hil.review import Follower
 from hil.run.engine import Publisher
 from hil.run.locks import RigClaim
 from hil.run.session.request import RunInputs, RunRequest, tracking_config
-from hil.run_folder import RunFolder
+from hil.run_folder import FolderLostError, RunFolder
 from hil.tracking import Advice, Tracking
 
 
@@ -74,9 +74,14 @@ class RunReview:
             self._follower = await asyncio.to_thread(start_follower, self.folder.journal, self.folder.review, show=show)
 
     async def close(self) -> None:
-        """Let the process write the rest."""
-        if self._follower is not None:
-            self.complete = await asyncio.to_thread(self._follower.finish)
+        """Let the process write the rest; what it leaves of an unfinished file in a moved folder is removed."""
+        if self._follower is None:
+            return
+        self.complete = await asyncio.to_thread(self._follower.finish)
+        if not self.complete:
+            with contextlib.suppress(FolderLostError, OSError):
+                for left in self.folder.located().path.glob(f".{self.folder.review.name}.*.part"):
+                    left.unlink()
 
 
 @contextlib.asynccontextmanager

@@ -30,8 +30,11 @@ rest equally, and within a family its courses."""
 FORM_ERRORS = (0.01, 0.03, 0.1)
 """Standard deviations of an effect's form error, as equally likely shares of its size: no law is exact."""
 FORM_SHARE = (2.0 * max(FORM_ERRORS)) ** 2
-"""Share of the log odds of an effect that an error of its form, of two standard deviations, may amount to: less than it
-of two effects that begin at one moment is taken for an error of the other's form."""
+"""Share of the log odds of an effect that an error of its form, of two standard deviations, may amount to."""
+COINCIDENT_SHARE = (3.0 * max(FORM_ERRORS)) ** 2
+"""The same of two effects that begin at one moment, for a form error of three standard deviations. Independent faults
+at one moment are rarer than that: a further fault has a probability of `FAULT`, and of beginning within minutes in a
+record of a day less than a hundredth of it."""
 FORM_S = 7200.0
 """Time over which a form error keeps its sign, s: that of a load step and of a change of the weather."""
 CLAIM = 12.0

@@ -19,7 +19,7 @@ from twin.discovery.evidence.hypotheses import Found, Hypothesis, Prior, apart, 
 from twin.discovery.evidence.marginal import joint
 from twin.discovery.evidence.missing_in_health import with_missing, with_missing_beside, with_usual
 from twin.discovery.evidence.part import Part, fitted, plainly, within_commands
-from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_SHARE, SURE, UNLISTED
+from twin.discovery.evidence.priors import CLAIM, COINCIDENT_SHARE, FAULT, SURE, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, scan
 from twin.discovery.evidence.search import ladder_of, searched
 from twin.discovery.healthy.basis import Basis, Columns
@@ -264,7 +264,7 @@ def finding_of(found: Found, part: Part, record_s: float, *, fewer: bool = False
     if fewer and together is not None and best is not None:
         # What comes back in the turns of another is certainly of one cause, whatever share of it the other has.
         same = _same_turns_by_chance(*together, score_test.grid.span_s) < 1.0
-        enough = least if same else best.odds * (1.0 - FORM_SHARE)
+        enough = least if same else best.odds * (1.0 - COINCIDENT_SHARE)
         fewer_ones = with_fewer_effects(best, found.hypotheses, enough)
         others = [h for h in fewer_ones if _at_one_moment(h, score_test) is None]
         best = others[0] if others else best
