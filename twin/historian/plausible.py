@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.historian.exchanges import Exchange, exchanged_meter
 from twin.historian.ratings import Ratings, contradictions
@@ -122,7 +123,7 @@ def in_usual_units(
         fitting = _fitting(one.tag, values, usual, full_speed)
         if one.tag.role == "water_flow" and design_flow_kg_s:
             run = USUAL_FLOW[0] * design_flow_kg_s, USUAL_FLOW[1] * design_flow_kg_s
-            in_time = _at_work(one.value[one.good][np.argsort(one.time_s[one.good], kind="stable")])
+            in_time = _at_work(_in_time(one))
             segments = np.array_split(in_time, SEGMENTS) if len(in_time) >= SEGMENTS * FEWEST else []
             if any(_share(part, unit, run) > 1.0 - LEAST_SHARE for part in segments):
                 kept.append(one)
@@ -134,7 +135,8 @@ def in_usual_units(
         if one.tag.role in OF_WATER and _share(values, unit, usual) < 1.0 - LEAST_SHARE and fitting:
             # Not a part of the record in another unit: all of it is usual in that one.
             all_of_it = [name for name in fitting if _share(values, _in_percent(name, full_speed), usual) > WHOLE]
-            usual, fitting = (usual, fitting) if not all_of_it else (NEVER, all_of_it)
+            if all_of_it and not _for_one_span(~_between(_in_time(one), unit, usual)):
+                usual, fitting = NEVER, all_of_it
         if one.tag.role == "barometric_pressure" and ratings.pressure_kPa:
             run = (1.0 - SITE_PRESSURE) * ratings.pressure_kPa, (1.0 + SITE_PRESSURE) * ratings.pressure_kPa
             if _share(values, unit, run) < LEAST_SHARE and (better := _fitting(one.tag, values, run, full_speed)):
@@ -284,5 +286,27 @@ def _usual_in(others: list[str], tag: Tag, values: Array, usual: tuple[float, fl
 
 
 def _share(values: Array, unit: Unit, usual: tuple[float, float]) -> float:
+    return float(_between(values, unit, usual).mean())
+
+
+def _between(values: Array, unit: Unit, usual: tuple[float, float]) -> NDArray[np.bool_]:
+    """Return the values (n,) that are usual in a unit."""
     canonical = unit.scale * values + unit.offset
-    return float(((canonical >= usual[0]) & (canonical <= usual[1])).mean())
+    return np.asarray((canonical >= usual[0]) & (canonical <= usual[1]))
+
+
+def _in_time(series: Series) -> Array:
+    """Return the good values in the order of their stamps."""
+    return np.asarray(series.value[series.good][np.argsort(series.time_s[series.good], kind="stable")])
+
+
+def _for_one_span(off: NDArray[np.bool_]) -> bool:
+    """Return True if the samples that are off (n,) are nearly all of one span, and none of the others.
+
+    That is a change of the unit at a time: what is off with the weather comes and goes.
+    """
+    rows = np.flatnonzero(off)
+    few = int((1.0 - WHOLE) * len(rows))
+    first, last = rows[few], rows[len(rows) - 1 - few]
+    others = len(off) - (last + 1 - first)
+    return bool(others >= FEWEST and off[first : last + 1].mean() >= WHOLE)

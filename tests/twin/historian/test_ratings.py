@@ -117,6 +117,18 @@ def test_a_flow_in_another_unit_for_most_of_the_record_leaves_out_no_tag(factor:
     assert not any("F2" in one for one in remarks)
 
 
+@pytest.mark.parametrize("name", ["T1IN", "T1OUT"])
+@pytest.mark.parametrize(("since", "until"), [(0.2, 1.0), (0.6, 1.0), (0.0, 0.7), (0.3, 0.8)])
+def test_a_thermometer_in_degf_for_most_of_the_record_is_left_to_the_unit_switches(
+    clean: list[Series], name: str, since: float, until: float
+) -> None:
+    def switched(values: Array) -> Array:
+        rows = np.arange(len(values)) / len(values)
+        return np.where((rows >= since) & (rows < until), 1.8 * values + 32.0, values)
+
+    assert judged(clean, {name: switched}) == (set(), "")
+
+
 @pytest.mark.parametrize("factor", [10.0, 0.1])
 @pytest.mark.parametrize("late", [True, False])
 def test_the_wrong_part_of_an_exchanged_flow_meter_is_left_out(clean: list[Series], factor: float, late: bool) -> None:
