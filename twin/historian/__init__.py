@@ -11,6 +11,7 @@ from twin.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from twin.historian.checks import FAN_APART
+    from twin.historian.clock_steps import with_clock_steps_undone
     from twin.historian.columns import OF_CELL, OF_STATION
     from twin.historian.events import INFLUENCE, Event, disturbed, influence_of
     from twin.historian.plausible import SITE_PRESSURE, exchanged_meters, in_usual_units, usual_at_work
@@ -50,6 +51,7 @@ __all__ = [
     "start_ups",
     "unit_of",
     "usual_at_work",
+    "with_clock_steps_undone",
     "without_strays",
 ]
 
@@ -63,6 +65,7 @@ __getattr__, __dir__ = lazy_names(
         "ratings": ("Ratings",),
         "record": ("CellMinutes", "cell_minutes", "out_of_range", "shared_minutes"),
         "regimes": ("Regime", "START_UP_MIN", "start_ups"),
+        "clock_steps": ("with_clock_steps_undone",),
         "stamps": ("order_and_silence", "without_strays"),
         "tags": ("Defect", "Series", "Tag"),
         "units": ("SPEEDS", "UnitError", "full_speed_of", "unit_of"),

@@ -70,6 +70,7 @@ from twin.historian import (
     out_of_range,
     shared_minutes,
     usual_at_work,
+    with_clock_steps_undone,
     without_strays,
 )
 from twin.historian.defects import Repaired, find_and_repair
@@ -123,6 +124,7 @@ def align(store: HistorianStore, station: Station, out: Path, stamps: str | None
     raw, remarks = read_series(store, station)
     remarks = [*ignored, *remarks]
     raw, strays = without_strays(raw, station.places)
+    raw, set_wrong = with_clock_steps_undone(raw)
     exchanged = exchanged_meters(raw, station.ratings)
     raw, wrong = in_usual_units(raw, station.places, station.ratings)
     repaired = find_and_repair(
@@ -144,7 +146,7 @@ def align(store: HistorianStore, station: Station, out: Path, stamps: str | None
     remarks = [*station.remarks, *remarks, *strays, *order_and_silence(raw, station.places, local), *wrong]
     del raw
     outside = out_of_range(repaired.series, station.full_speed)
-    defects = sorted((*repaired.defects, *exchanged, *outside), key=lambda one: one.start_s)
+    defects = sorted((*set_wrong, *repaired.defects, *exchanged, *outside), key=lambda one: one.start_s)
     repaired = replace(repaired, defects=tuple(defects))
     remarks += [*repaired.remarks, *_no_pressure(repaired.series, station)]
     return write_record(repaired, station, out, remarks)
