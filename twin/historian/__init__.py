@@ -11,14 +11,13 @@ from twin.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from twin.historian.checks import FAN_APART
-    from twin.historian.clock_steps import with_clock_steps_undone
     from twin.historian.columns import OF_CELL, OF_STATION
     from twin.historian.events import INFLUENCE, Event, disturbed, influence_of
     from twin.historian.plausible import SITE_PRESSURE, exchanged_meters, in_usual_units, usual_at_work
     from twin.historian.ratings import Ratings
     from twin.historian.record import CellMinutes, cell_minutes, out_of_range, shared_minutes
     from twin.historian.regimes import START_UP_MIN, Regime, start_ups
-    from twin.historian.stamps import order_and_silence, without_strays
+    from twin.historian.stamps import order_and_silence, with_clock_steps_undone, without_strays
     from twin.historian.tags import Defect, Series, Tag
     from twin.historian.units import SPEEDS, UnitError, full_speed_of, unit_of
 
@@ -65,8 +64,7 @@ __getattr__, __dir__ = lazy_names(
         "ratings": ("Ratings",),
         "record": ("CellMinutes", "cell_minutes", "out_of_range", "shared_minutes"),
         "regimes": ("Regime", "START_UP_MIN", "start_ups"),
-        "clock_steps": ("with_clock_steps_undone",),
-        "stamps": ("order_and_silence", "without_strays"),
+        "stamps": ("order_and_silence", "with_clock_steps_undone", "without_strays"),
         "tags": ("Defect", "Series", "Tag"),
         "units": ("SPEEDS", "UnitError", "full_speed_of", "unit_of"),
     },

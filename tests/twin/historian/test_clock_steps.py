@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.twin.historian.made_station import clean_store
-from twin.historian.clock_steps import with_clock_steps_undone
+from twin.historian.stamps import with_clock_steps_undone
 from twin.historian.tags import Series
 
 HOUR_S = 3600.0
