@@ -58,7 +58,7 @@ def test_a_name_is_plural_by_its_last_word(name: str, plural: bool) -> None:
         ("loses heat", "lose heat"),
         ("exchanges heat", "exchange heat"),
         ("has a mass beside it that follows", "have a mass beside them that follows"),
-        ("is passed by {value}", "are passed by {value}"),
+        ("is bypassed by {value}", "are bypassed by {value}"),
         ("passes {value}", "pass {value}"),
         ("gets its water later", "get their water later"),
         ("reads", "read"),

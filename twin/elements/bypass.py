@@ -50,7 +50,7 @@ class Bypass(Element):
                 0.05,
                 0.0,
                 0.9,
-                "is passed by {value}",
+                "is bypassed by {value}",
                 adds={name: {"kind": cls.kind, "around": list(nodes)}},
             )
             for place, nodes in around
@@ -61,7 +61,7 @@ class Bypass(Element):
         places = {nodes: place for place, nodes in sites.groups.items()}
         where = places.get(self.around, sites.places[self.around[0]])
         now = sites.values[f"{self.name}.fraction"]
-        says = "is passed by another share of the flow: a change by {value}" if now else "is passed by {value}"
+        says = "is bypassed by another share of the flow: a change by {value}" if now else "is bypassed by {value}"
         fraction = self.parameter_candidate(
             "fraction", "flow", where, "constant", EffectSize("of the flow", 0.05, -now, 0.9 - now), says
         )

@@ -50,7 +50,7 @@ def disturbance_statement(
     elif unit == "K":
         text = f"{where} {agreeing(where, 'reads')} too {'low' if value < 0.0 else 'high'} by {size}"
     elif unit == PASSING and value > 0.0:
-        text = f"{where} {agreeing(where, 'is')} passed by {size}"
+        text = f"{where} {agreeing(where, 'is')} bypassed by {size}"
     else:
         change = f"{size} {'less' if value < 0.0 else 'more'}"
         text = f"{where.replace('_', ' ')} {agreeing(where, 'has')} {change} than the twin models"
