@@ -23,9 +23,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drivers.signals import ConfigurationError, Quality
-from hil.errors import exit_code
-from hil.journal import JournalReader, JournalSamples, JournalWriter, samples_sha256
-from hil.record import Parts
+from hil.journal import JournalError, JournalReader, JournalSamples, JournalWriter, samples_sha256
+from hil.record import Parts, RecordError
 from hil.tracking import Child
 
 if TYPE_CHECKING:
@@ -186,7 +185,6 @@ class _DiagnosisWorker:
 
     def look(self, out: Path | None) -> Reply:
         """Diagnose the journal as it is; `out` is the folder for the results of the last diagnosis."""
-        from hil.record import RecordError
         from twin import TwinFileError
         from twin.discovery import diagnose
 
@@ -348,6 +346,8 @@ class LiveDiagnosis:
             await self._answer.wait()
 
     def _receive(self) -> None:
+        from twin import TwinFileError
+
         assert self._child is not None
         try:
             message = self._child.connection.recv()
@@ -359,8 +359,9 @@ class LiveDiagnosis:
             self._reply = message
             self._tell(message)
         else:
-            known = exit_code(message) is not None
-            self._fail(str(message) if known else f"{type(message).__name__}: {message}")
+            # A sentence for the user; any other error is a defect, of which the kind tells more.
+            told = isinstance(message, ConfigurationError | JournalError | RecordError | TwinFileError)
+            self._fail(str(message) if told else f"{type(message).__name__}: {message}")
         self._answer.set()
 
     def _tell(self, reply: Reply) -> None:

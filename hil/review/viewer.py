@@ -17,6 +17,8 @@ from typing import IO
 
 HOST = "127.0.0.1"
 _START_TIMEOUT_S = 30.0
+_CUT = (b"Missing RRD footer", b"couldn't decode")
+"""Words of Rerun's check on a file with a hole or without an end."""
 
 
 class ViewerError(RuntimeError):
@@ -90,7 +92,8 @@ def require_complete(rrd: Path) -> None:
     done = subprocess.run(
         command, env=os.environ | {"CI": "true"}, stdin=subprocess.DEVNULL, capture_output=True, check=False
     )
-    if done.returncode != 0:
+    # It also finds fault with the states of a lane that end, which its viewer shows.
+    if done.returncode != 0 and any(words in done.stderr for words in _CUT):
         raise OSError("Rerun could not write all of it: make room on the disk")
 
 
