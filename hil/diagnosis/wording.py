@@ -114,7 +114,7 @@ def left_out(document: dict[str, Any]) -> str:
         return ""
     off, claimed = worse(document), document["verdict"] in ("effect found", "ambiguous")
     if off and claimed:
-        return "The held-out segment does not test the answer: there it predicts less than the usual error of health."
+        return f"On the held-out segment, {off}: that neither supports nor contradicts the answer."
     if off:
         return f"On the held-out segment, {off}: the answer does not predict it, whatever its gain in cross-validation."
     won = sum(gain > 0.0 for gain in blocks)

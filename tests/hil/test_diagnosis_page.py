@@ -23,7 +23,7 @@ from hil.diagnosis.store import (
     read_findings,
     write_curves,
 )
-from hil.diagnosis.wording import after_label, frequency, reasons
+from hil.diagnosis.wording import after_label, frequency, left_out, reasons
 from hil.review import read_columns, read_words, write_findings_review, write_review
 from hil.review.plan.styles import path
 from tests.hil.made_diagnosis import SAYS, SENSORS, made
@@ -245,3 +245,21 @@ def test_what_the_reader_left_out_stands_in_the_document_and_on_the_page(tmp_pat
     assert json.loads((tmp_path / DOCUMENT).read_text())["read"] == [said]
     text = (tmp_path / "diagnosis.html").read_text()
     assert "Reading the record" in text and "left out &lt;since&gt;" in text
+
+
+@pytest.mark.parametrize(
+    ("verdict", "says"), [("effect found", "neither supports nor contradicts"), ("unexplained", "does not predict")]
+)
+def test_a_worse_held_out_segment_speaks_against_an_answer_only_where_that_is_not_claimed(
+    verdict: str, says: str
+) -> None:
+    """An effect that has passed is claimed although re-tuning alone is nearer there."""
+    errors = {"T_tank_C": {"before": 0.17, "after": 0.21, "noise": 0.02}}
+    document = {
+        "verdict": verdict,
+        "effects": [{"shape": "pulse"}],
+        "left_out": [{"gain": 5.0}],
+        "error": {"sensors": errors},
+    }
+    text = left_out(document)
+    assert says in text and "0.21 K" in text and "0.17 K" in text

@@ -204,10 +204,10 @@ async def _run_in(run: PreparedRun) -> RunResult:
     manifest.pop("adoption", None)  # from an earlier segment
     # Pages that an earlier segment left would lack this one, so they are made anew.
     pages = () if request.report else ((REVIEW, folder.review), (REPORT, folder.report))
-    unwanted = {name for name, path in pages if not path.is_file()}
+    not_made = {name for name, path in pages if not path.is_file()}
     if review.complete:
-        unwanted.add(REVIEW)
-    derived = derive_files(folder, manifest, announce, there=unwanted, signals=run.signals)
+        not_made.add(REVIEW)
+    derived = derive_files(folder, manifest, announce, there=not_made, signals=run.signals)
     duration_s = outcome.ticks * clock.period_s
     return RunResult(
         derived.folder,

@@ -105,7 +105,7 @@ async def run_review(
 
 
 async def prepare_pages(review: RunReview) -> None:
-    """Write the review and load the libraries of the report, beside the diagnosis that all of them wait for."""
+    """Start the process of the review and load the libraries of the report, while a diagnosis is waited for."""
     from hil.report import load_libraries
 
     await review.start(show=False)

@@ -18,7 +18,7 @@ LEAST_S = 3900.0
 FEWEST_TAGS, SHARE = 3, 0.5
 """Tags, and share of them, whose stamps fall together where the clock of a store was set."""
 REGULAR = 3
-"""One of so many tags has intervals short enough to tell the time of the setting: those of a third of the tags."""
+"""The third of the tags with the shortest intervals tells when a clock was set, and by how much."""
 APART_S = 3600.0
 """Longest time between the falls of two tags by one setting of the clock, beside their intervals, s."""
 
