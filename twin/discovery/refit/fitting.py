@@ -12,29 +12,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.discovery.effects.probe import FreeRun
-from twin.discovery.effects.shapes import TIMED, Shape
+from twin.discovery.effects.shapes import Shape
 from twin.discovery.records.grid import Grid
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.stepping import LeastSquaresProblem, minimise
+from twin.discovery.refit.variables import Variables
 from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
-from twin.discovery.scoring.sweep import LAST_SHARE
 from twin.elements.candidates import Candidate
 from twin.network import Array
 from twin.segments import separate_columns
 
 ROUNDS, AGAIN = 12, 4
 """Rounds of a fit, and of one that continues another of the same effects."""
-REACH = 1.0
-"""Longest step of a tunable, in standard deviations of a weak prior: derivatives are unreliable beyond, unless they
-held so far."""
-SHORT = 0.2
-"""Largest share of a short transient by which its beginning and end are shifted for derivatives."""
-GROWN_S = 180.0
-"""Shortest growth time, s; quicker growth is a step. A transient may end within a bin."""
-_STEP = 1.0e-4
-_STATE_STEP = 1.0e-2
-_SIZE_STEP = 1.0e-2
 
 
 @dataclass(frozen=True)
@@ -71,128 +61,122 @@ def fit(score_test: ScoreTest, model: Model, state: Array, moved: Array | None =
             point.
         rounds: steps at most.
     """
-    probe, grid, entries = score_test.probe, score_test.grid, model.entries
-    scaling, q, k, e = probe.scaling, probe.q, len(grid.begins) * probe.k, len(entries)
-    timed = [i for i, x in enumerate(entries) if x.shape.onset_s > 0.0]
-    grown = [i for i, x in enumerate(entries) if x.shape.free(grid.span_s)]
-    first_time, first_growth = q + k + e, q + k + e + len(timed)
-    count = first_growth + len(grown)
-    z0 = scaling.to_z(probe.network.values[scaling.index])
-    hours, last_h = grid.step_s / 3600.0, grid.span_s / 3600.0
-    low, high = np.full(count, -20.0), np.full(count, 20.0)
-    low[:q], high[:q] = scaling.to_z(scaling.lower) - z0, scaling.to_z(scaling.upper) - z0
-    # A place holds what an effect comes to within the record, not what a ramp that goes on comes to after it.
-    most = np.array([x.shape.reached(grid.span_s) if x.shape.name == "ramp" else 1.0 for x in entries])
-    low[q + k : first_time] = [x.candidate.lower for x in entries] / most
-    high[q + k : first_time] = [x.candidate.upper for x in entries] / most
-    # Onsets are in hours, growth times in the logarithm of hours.
-    low[first_time:first_growth], high[first_time:first_growth] = 0.0, LAST_SHARE * last_h
-    low[first_growth:] = [np.log((grid.step_s if entries[i].shape.name in TIMED else GROWN_S) / 3600.0) for i in grown]
-    high[first_growth:] = np.log(10.0 * last_h)
-    reach = np.full(count, np.inf)
-    reach[:q], reach[q : q + k] = REACH * scaling.prior_sd(), 5.0
-    reach[first_time:first_growth], reach[first_growth:] = 1.0, 0.7
-    precision = np.zeros((count, count))
-    precision[: q + k, : q + k] = score_test.prior.precision
-    steps = np.full(count, _STEP)
-    steps[q : q + k] = _STATE_STEP
-    steps[q + k : first_time] = [_SIZE_STEP * x.candidate.typical for x in entries]
-    steps[first_time:first_growth], steps[first_growth:] = 6.0 * hours, 0.05
-    for place, i in enumerate(grown):
-        # A period is told by where its last turn is; the end of a spell as closely as its beginning.
-        shape = entries[i].shape
-        if shape.name in ("periodic", "spell"):
-            told_s = grid.span_s if shape.name == "periodic" else shape.growth_s
-            steps[first_growth + place] = min(6.0 * grid.step_s / max(told_s, grid.step_s), SHORT)
-            reach[first_growth + place] = score_test.step_s / max(told_s, grid.step_s)
-    for place, i in enumerate(timed):
-        if entries[i].shape.name in ("spell", "pulse"):
-            # Its beginning and its end bend the readings apart.
-            steps[first_time + place] = float(np.clip(SHORT * entries[i].shape.growth_s / 3600.0, hours, 6.0 * hours))
-    scale = np.ones(count)
-    scale[q + k : first_time] = [x.candidate.typical for x in entries]
+    variables = Variables.of(score_test, model.entries)
+    residual = _JointResidual(score_test, model, state, variables)
+    precision = np.zeros((variables.count, variables.count))
+    precision[variables.moved, variables.moved] = score_test.prior.precision
+    low, high = residual.bounds
+    problem = LeastSquaresProblem(
+        residual.residuals,
+        residual.jacobian,
+        precision,
+        low,
+        high,
+        variables.longest_steps(score_test),
+        np.arange(variables.onsets.start, variables.onsets.stop),
+        score_test.step_s / 3600.0,
+        variables.large_changes(),
+    )
+    found, jacobian, done = minimise(problem, np.clip(variables.at_start(moved), low, high), rounds)
+    at, v = found.v[variables.moved], found.v
+    covariance = covariance_of(
+        jacobian.T @ jacobian + precision,
+        np.maximum(problem.scale, np.abs(v)),
+        (variables.sizes.start, variables.onsets.start, variables.growths.start),
+        score_test.grid.span_s / 3600.0,
+    )
+    score_test.take(found.residual, at)
+    return Fit(
+        entries=_estimated(variables, v, covariance, residual.steps, score_test.grid.span_s),
+        moved=at,
+        values=residual.values_at(v[None])[0],
+        state=residual.state + v[variables.state],
+        total=found.total,
+        chi=float(found.residual @ found.residual) / max(score_test.count, 1),
+        away=float(at @ score_test.prior.precision @ at),
+        residual=found.residual,
+        done=done,
+    )
 
-    def shapes_at(v: Array) -> tuple[Shape, ...]:
-        found = [x.shape for x in entries]
-        for place, i in enumerate(timed):
-            found[i] = replace(found[i], onset_s=float(max(v[first_time + place], 0.0) * 3600.0))
-        for place, i in enumerate(grown):
-            found[i] = replace(found[i], growth_s=float(np.exp(v[first_growth + place]) * 3600.0))
-        return tuple(found)
 
-    def run(v: Array) -> Array:
-        """Return the readings of runs at v (P, count)."""
+class _JointResidual:
+    """Whitened residual of a score test's record as a function of the variables of a fit, and its Jacobian.
+
+    Args:
+        state: temperatures (s * k,), degC, from which the variables count.
+
+    Attributes:
+        bounds: (c,) and (c,). steps: (c,) of the differences.
+    """
+
+    def __init__(self, score_test: ScoreTest, model: Model, state: Array, variables: Variables) -> None:
+        self.score_test, self.model, self.variables = score_test, model, variables
+        self.state = state[: variables.state.stop - variables.state.start]
+        self.bounds, self.steps = variables.bounds(score_test), variables.difference_steps(score_test)
+
+    def values_at(self, v: Array) -> Array:
+        """Return the parameters (P, p) of the original network at v (P, c)."""
+        probe, place = self.score_test.probe, self.variables.tunables
         values = np.tile(probe.network.values, (len(v), 1))
-        values[:, scaling.index] = scaling.to_values(z0 + v[:, :q])
-        shapes = tuple(shapes_at(row) for row in v)
-        start, sizes = state[:k] + v[:, q : q + k], v[:, q + k : first_time]
-        return simulated(model, grid, start, values, sizes, shapes)
+        values[:, probe.scaling.index] = probe.scaling.to_values(self.variables.z0 + v[:, place])
+        return values
 
-    def look(rows: Array) -> Array:
-        """Return the whitened residuals (P, rows) of runs at `rows` (P, count)."""
-        return score_test.residuals_of(run(rows))
+    def readings(self, v: Array) -> Array:
+        """Return the readings (P, n, m), degC, of runs at v (P, c)."""
+        state, sizes = self.state + v[:, self.variables.state], v[:, self.variables.sizes]
+        shapes = tuple(self.variables.shapes_at(row) for row in v)
+        return simulated(self.model, self.score_test.grid, state, self.values_at(v), sizes, shapes)
 
-    def slopes_at(v: Array) -> tuple[Array, Array]:
-        """Return the whitened derivatives (rows, count), and those (rows, onsets) of onsets towards earlier times."""
-        sign = np.where(v + steps > high, -steps, steps)
+    def residuals(self, v: Array) -> Array:
+        """Return the whitened residuals (P, rows) of runs at v (P, c)."""
+        return self.score_test.residuals_of(self.readings(v))
+
+    def jacobian(self, v: Array) -> tuple[Array, Array]:
+        """Return the whitened derivatives (rows, c) at v (c,), and those (rows, t) of onsets towards earlier times."""
+        variables, score_test, steps = self.variables, self.score_test, self.steps
+        k, onsets = score_test.probe.k, variables.onsets
+        sign = np.where(v + steps > self.bounds[1], -steps, steps)
         alone = np.diag(sign)
         # A beginning is felt in its own segment alone, so that all of them are moved at once.
-        at_once = alone[q : q + k].reshape(-1, probe.k, count).sum(axis=0)
-        moves = np.vstack([np.zeros(count), alone[:q], at_once, alone[q + k :], -np.diag(steps)[onsets]])
+        at_once = alone[variables.state].reshape(-1, k, variables.count).sum(axis=0)
+        first, last = variables.tunables, slice(variables.sizes.start, None)
+        moves = np.vstack([np.zeros(variables.count), alone[first], at_once, alone[last], -np.diag(steps)[onsets]])
         # A run is cut where any of those beside it is: only with these is the difference that of the move.
-        seen = score_test.seen(run(v + moves))
+        seen = score_test.seen(self.readings(v + moves))
         change = np.moveaxis(seen[1:] - seen[0], 0, 2)
-        states = separate_columns(change[..., q : q + probe.k], score_test.begins)
-        each = np.concatenate([change[..., :q], states, change[..., q + probe.k :]], axis=2)
+        q = first.stop
+        states = separate_columns(change[..., q : q + k], score_test.begins)
+        each = np.concatenate([change[..., :q], states, change[..., q + k :]], axis=2)
         both = score_test.features(each / np.append(sign, -steps[onsets]))
-        return both[:, :count], both[:, count:]
+        return both[:, : variables.count], both[:, variables.count :]
 
-    onsets = np.arange(first_time, first_growth)
-    v = np.zeros(count)
-    v[: q + k] = 0.0 if moved is None else moved
-    v[q + k : first_time] = [x.size for x in entries]
-    v[onsets] = [entries[i].shape.onset_s / 3600.0 for i in timed]
-    v[first_growth:] = [np.log(entries[i].shape.growth_s / 3600.0) for i in grown]
-    v = np.clip(v, low, high)
-    squares = LeastSquaresProblem(
-        look, slopes_at, precision, low, high, reach, onsets, score_test.step_s / 3600.0, scale
-    )
-    found, slopes, done = minimise(squares, v, rounds)
-    v = found.v
-    covariance = covariance_of(
-        slopes.T @ slopes + precision,
-        np.maximum(scale, np.abs(v)),
-        (q + k, first_time, first_growth),
-        grid.span_s / 3600.0,
-    )
+
+def _estimated(variables: Variables, v: Array, covariance: Array, steps: Array, span_s: float) -> tuple[Entry, ...]:
+    """Return the effects with their sizes, times and standard deviations at v (c,) with this covariance (c, c)."""
+    entries, shapes = variables.entries, variables.shapes_at(v)
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    shapes = shapes_at(v)
-    onset_sd, size_sd = np.zeros(e), sd[q + k : first_time].copy()
-    onset_sd[timed] = sd[first_time:first_growth] * 3600.0
+    onset_sd, size_sd = np.zeros(len(entries)), sd[variables.sizes].copy()
+    onset_sd[list(variables.with_onset)] = sd[variables.onsets] * 3600.0
     for i in (i for i, x in enumerate(entries) if x.shape.grows):
-        # Size, onset and growth of what has not ended growing are not told from one another; what they come to is.
-        reached = np.array([shapes_at(row)[i].reached(grid.span_s) for row in (v, *(v + np.diag(steps)))])
-        slope = v[q + k + i] * (reached[1:] - reached[0]) / steps
-        slope[q + k + i] = reached[0]
+        # Size, onset and growth of an effect that still grows are correlated; what it comes to is identifiable.
+        reached = np.array([variables.shapes_at(row)[i].reached(span_s) for row in (v, *(v + np.diag(steps)))])
+        place = variables.sizes.start + i
+        slope = v[place] * (reached[1:] - reached[0]) / steps
+        slope[place] = reached[0]
         size_sd[i] = math.sqrt(max(float(slope @ covariance @ slope), 0.0)) / max(reached[0], 1e-9)
-    fitted = tuple(
+    sizes = v[variables.sizes]
+    fitted = (
         replace(
             x,
-            size=float(v[q + k + i]),
+            size=float(sizes[i]),
             sd=float(size_sd[i]),
             shape=shapes[i],
             onset_sd_s=float(onset_sd[i]),
-            on_bound=_on_bound(x.candidate, float(v[q + k + i]), float(most[i])),
+            on_bound=_on_bound(x.candidate, float(sizes[i]), float(variables.reached[i])),
         )
         for i, x in enumerate(entries)
     )
-    fitted = tuple(_going_on(x, grid.span_s) for x in fitted)
-    score_test.take(found.residual, v[: q + k])
-    values = probe.network.values.copy()
-    values[scaling.index] = scaling.to_values(z0 + v[:q])
-    chi = float(found.residual @ found.residual) / max(score_test.count, 1)
-    away = float(v[: q + k] @ score_test.prior.precision @ v[: q + k])
-    return Fit(fitted, v[: q + k], values, state[:k] + v[q : q + k], found.total, chi, away, found.residual, done)
+    return tuple(_going_on(x, span_s) for x in fitted)
 
 
 def covariance_of(normal: Array, order: Array, firsts: tuple[int, int, int], span_h: float) -> Array:
