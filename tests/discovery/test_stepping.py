@@ -15,7 +15,15 @@ from twin.discovery.healthy.basis import Columns, basis
 from twin.discovery.records.grid import on_grid
 from twin.discovery.refit.fitting import fit
 from twin.discovery.refit.model import Model
-from twin.discovery.refit.stepping import LEAST, LeastSquaresProblem, SearchPoint, TrialStep, _best, bounded, minimise
+from twin.discovery.refit.stepping import (
+    LEAST,
+    LeastSquaresProblem,
+    SearchPoint,
+    TrialStep,
+    _best,
+    bounded_step,
+    minimise,
+)
 from twin.discovery.scoring.search import Entry
 
 
@@ -26,17 +34,17 @@ def smooth(wanted: np.ndarray, reach: float = np.inf, unit: float = 1.0) -> Leas
     def course(v: np.ndarray) -> np.ndarray:
         return unit * v[0] * np.exp(-v[1] * t) + v[2] * t
 
-    def look(rows: np.ndarray) -> np.ndarray:
+    def residuals(rows: np.ndarray) -> np.ndarray:
         return 10.0 * np.stack([course(wanted) + 0.01 * np.sin(9.0 * t) - course(v) for v in rows])
 
-    def slopes(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def jacobian(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         decay = np.exp(-v[1] * t)
         return 10.0 * np.column_stack([unit * decay, -unit * v[0] * t * decay, t]), np.empty((30, 0))
 
     scale = np.array([1.0 / unit, 1.0, 1.0])
     low, high = np.array([-5.0, 0.05, -1.0]) * scale, np.array([5.0, 3.0, 1.0]) * scale
     precision = 0.01 * np.diag(scale**-2)
-    return LeastSquaresProblem(look, slopes, precision, low, high, reach * scale, np.arange(0), 1.0, scale)
+    return LeastSquaresProblem(residuals, jacobian, precision, low, high, reach * scale, np.arange(0), 1.0, scale)
 
 
 @settings(max_examples=40, deadline=None)
@@ -45,17 +53,17 @@ def smooth(wanted: np.ndarray, reach: float = np.inf, unit: float = 1.0) -> Leas
 @example(a=1.1015625, b=0.25, c=0.0, reach=np.inf)
 @given(a=st.floats(0.5, 4.5), b=st.floats(0.1, 2.8), c=st.floats(-0.9, 0.9), reach=st.sampled_from([0.3, np.inf]))
 def test_smooth_squares_become_as_small_as_scipy_makes_them(a: float, b: float, c: float, reach: float) -> None:
-    squares = smooth(np.array([a, b, c]), reach)
-    found, *_ = minimise(squares, np.array([1.0, 1.0, 0.0]), 40)
+    problem = smooth(np.array([a, b, c]), reach)
+    found, *_ = minimise(problem, np.array([1.0, 1.0, 0.0]), 40)
 
     def both(v: np.ndarray) -> np.ndarray:
-        return np.concatenate([squares.look(v[None])[0], 0.1 * v])
+        return np.concatenate([problem.residuals(v[None])[0], 0.1 * v])
 
-    best = least_squares(both, [1.0, 1.0, 0.0], bounds=(squares.low, squares.high))
+    best = least_squares(both, [1.0, 1.0, 0.0], bounds=(problem.low, problem.high))
     # It ends where a step gains less than LEAST, of which several may be left; what matters to a diagnosis is 20.
     assert found.total < 2.0 * best.cost + 25.0 * LEAST
     assert found.total == pytest.approx(float((both(found.v) ** 2).sum()))
-    assert (squares.low <= found.v).all() and (found.v <= squares.high).all()
+    assert (problem.low <= found.v).all() and (found.v <= problem.high).all()
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1e-4, 1e4])
@@ -75,7 +83,7 @@ def test_a_bounded_step_is_the_best_within_its_bounds(seed: int, size: int) -> N
     rng = np.random.default_rng(seed)
     a, b = rng.normal(size=(3 * size, size)), rng.normal(size=3 * size)
     low, high = -rng.uniform(0.01, 0.5, size), rng.uniform(0.01, 0.5, size)
-    step = bounded(a.T @ a, a.T @ b, low, high)
+    step = bounded_step(a.T @ a, a.T @ b, low, high)
     assert (low <= step).all() and (step <= high).all()
     best = lsq_linear(a, b, (low, high)).x
 
@@ -87,8 +95,10 @@ def test_a_bounded_step_is_the_best_within_its_bounds(seed: int, size: int) -> N
 
 def test_a_step_without_bounds_in_its_way_is_newtons() -> None:
     hessian, wide = np.array([[4.0, 1.0], [1.0, 3.0]]), np.full(2, 1e9)
-    assert bounded(hessian, np.array([1.0, -2.0]), -wide, wide) == pytest.approx(np.linalg.solve(hessian, [1.0, -2.0]))
-    held = bounded(hessian, np.array([1.0, -2.0]), np.array([0.0, -9.0]), np.array([0.0, 9.0]))
+    assert bounded_step(hessian, np.array([1.0, -2.0]), -wide, wide) == pytest.approx(
+        np.linalg.solve(hessian, [1.0, -2.0])
+    )
+    held = bounded_step(hessian, np.array([1.0, -2.0]), np.array([0.0, -9.0]), np.array([0.0, 9.0]))
     assert held == pytest.approx([0.0, -2.0 / 3.0])
 
 
@@ -113,15 +123,15 @@ def test_an_onset_is_found_from_either_side_and_across_the_edges_of_blocks(
 
 def test_a_step_that_is_no_number_leads_nowhere() -> None:
     """The simulation refuses such values; the others of a round are still tried."""
-    squares = smooth(np.array([2.0, 1.0, 0.5]))
+    problem = smooth(np.array([2.0, 1.0, 0.5]))
     seen: list[np.ndarray] = []
 
-    def look(rows: np.ndarray) -> np.ndarray:
+    def residuals(rows: np.ndarray) -> np.ndarray:
         assert np.isfinite(rows).all()
         seen.append(rows)
-        return squares.look(rows)
+        return problem.residuals(rows)
 
     place = SearchPoint(np.array([1.0, 1.0, 0.0]), np.zeros(30), 1e9)
     tried = [TrialStep(np.full(3, np.nan), 1.0, 1.0, 0.0), TrialStep(np.array([1.0, 0.0, 0.5]), 1.0, 1.0, 0.0)]
-    step, found = _best(replace(squares, look=look), place, tried)
+    step, found = _best(replace(problem, residuals=residuals), place, tried)
     assert step is tried[1] and found.v == pytest.approx([2.0, 1.0, 0.5]) and len(seen) == 1
