@@ -127,7 +127,7 @@ def derive_files(
     manifest: dict[str, Any],
     announce: Callable[[str], None],
     *,
-    there: Collection[str] = (),
+    omitted: Collection[str] = (),
     signals: RunSignals | None = None,
 ) -> DerivedFiles:
     """Write `manifest` as `run.json`, then every file that is derived from the journal of the run in `folder`.
@@ -140,8 +140,8 @@ def derive_files(
         Content of `run.json`; its `missing` and `adoption` are set.
     announce
         Gets a line for each file, and for those that could not be made.
-    there
-        Names of files that are not made, as they are there or nobody asked for them.
+    omitted
+        Names of files not to make: they are current, or nobody asked for them.
     signals
         Signals of the run; a deliberate one ends the making of files, and nothing else.
 
@@ -157,7 +157,7 @@ def derive_files(
     if place.path != folder.path:
         announce(f"the run's folder was moved: its files go to {place.path}")
     derived = DerivedFiles(place)
-    steps = {name: step for name, step in _steps(manifest, derived).items() if name not in there}
+    steps = {name: step for name, step in _steps(manifest, derived).items() if name not in omitted}
     derived.missing = dict.fromkeys(steps, _NOT_YET)
     with contextlib.ExitStack() as stack:
         stop = _StopRequest()

@@ -40,13 +40,13 @@ def regenerate_files(folder: RunFolder, rebuild: bool, announce: Callable[[str],
     with folder.owned():
         manifest = completed_manifest(folder, folder.read_manifest())
         wanted = manifest.get("missing", {})
-        there = [name for name in (REVISION, VERDICT) if name not in wanted]
+        current = [name for name in (REVISION, VERDICT) if name not in wanted]
         if not rebuild:
             files = {RECORD: folder.record, REVIEW: folder.review}
-            there += [name for name, path in files.items() if folder.is_current(path)]
-            if RECORD in there and _lacks_ticks(folder):  # a copy of a folder may have any times
-                there.remove(RECORD)
-        return derive_files(folder, manifest, announce, there=there)
+            current += [name for name, path in files.items() if folder.is_current(path)]
+            if RECORD in current and _lacks_ticks(folder):  # a copy of a folder may have any times
+                current.remove(RECORD)
+        return derive_files(folder, manifest, announce, omitted=current)
 
 
 def current_record(folder: RunFolder, announce: Callable[[str], None]) -> Path:

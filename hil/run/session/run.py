@@ -12,9 +12,20 @@ from typing import Any
 from drivers.rig import RigConnection, rig_signals
 from drivers.virtual import taking_turns
 from hil.alarms import META_KEY, as_document, definitions_of
-from hil.diagnosis import Reply
+from hil.diagnosis import LiveDiagnosis, Reply
 from hil.journal import ENDED, Header, JournalError, JournalWriter, State
-from hil.run.engine import Engine, LockstepClock, Options, Outcome, RunSignals, Status, interrupted, serving, stopping
+from hil.run.engine import (
+    Clock,
+    Engine,
+    LockstepClock,
+    Options,
+    Outcome,
+    RunSignals,
+    Status,
+    interrupted,
+    serving,
+    stopping,
+)
 from hil.run.locks import RigClaim
 from hil.run.restore import Resumption, clocks_recorded, restore_calibrators
 from hil.run.session.derived_files import REPORT, REVIEW, DerivedFiles, derive_files
@@ -23,6 +34,7 @@ from hil.run.session.request import RunInputs, RunRequest
 from hil.run.session.rig_time import rig_and_clock
 from hil.run.session.services import (
     Publishers,
+    RunReview,
     guard_of,
     prepare_pages,
     run_review,
@@ -118,83 +130,38 @@ def _opened(folder: RunFolder, header: Header, *, again: bool) -> JournalWriter:
         ) from error
 
 
+@dataclass(slots=True)
+class _LiveRun:
+    """Parts of a run while its rig is connected: engine with its clock, services, and loop time at the start, s."""
+
+    journal: JournalWriter
+    engine: Engine
+    clock: Clock
+    tracking: Tracking | None
+    diagnosis: LiveDiagnosis | None
+    review: RunReview
+    began_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class _LastResults:
+    """Results that are complete only after the last tick; `wall_s` without the last diagnosis."""
+
+    comparison: Comparison | None
+    reply: Reply | None
+    wall_s: float
+
+
 async def _run_in(run: PreparedRun) -> RunResult:
     """Return the result of the run, carried out in its folder."""
-    folder, manifest, request, ready = run.folder, run.manifest, run.request, run.ready
-    tracking, announce, resumption = run.tracking, run.announce, run.resumption
-    loop = asyncio.get_running_loop()
+    folder, manifest = run.folder, run.manifest
     async with contextlib.AsyncExitStack() as stack:
-        header = _header(ready, () if tracking is None else tracking.calibrators)
-        journal = _opened(folder, header, again=resumption is not None)
-        stack.callback(_closed, journal)
-        journal.put_meta(RUN_UID, manifest["uid"])
-        journal.put_meta(META_KEY, as_document(definitions_of(ready.rig)))
-        await stack.enter_async_context(clocks_recorded(journal))
-        if resumption is not None and State(resumption.position.state) not in ENDED:
-            was = resumption.position
-            journal.state(was.tick, was.time_s, was.profile_s, was.state, "cut", State.IDLE.value, resumption.reason)
-        if tracking is not None and resumption is not None:
-            tracking = await _restored(stack, run, tracking, journal)
-        began = loop.time()
-        starts_s = 0.0 if resumption is None else resumption.first_tick(ready.rig.period_s) * ready.rig.period_s
-        rig, clock = await stack.enter_async_context(rig_and_clock(request, ready.rig, starts_s, announce))
-        connection = RigConnection(rig, clock.now)
-        if ready.network is not None and resumption is None:
-            parameters = ready.network.parameters
-            journal.put_meta("commissioned", {name: p.value for name, p in parameters.items()})
-            journal.put_meta("parameter_units", {name: p.unit for name, p in parameters.items()})
-        if tracking is not None:
-            tracking.attach(journal)
-            for name, why in tracking.left_out.items() if resumption is None else ():
-                journal.event(0, 0.0, "INFO", f"{name} is left out: {why}")
-        live = start_diagnosis(request, folder, journal, announce)
-        if live is not None:
-            stack.push_async_callback(live.close)
-        review = await stack.enter_async_context(run_review(request, folder, announce))
-        engine = Engine(
-            connection,
-            clock,
-            ready.profile,
-            journal,
-            Options(
-                publisher=Publishers(tuple(p for p in (tracking, live) if p is not None)),
-                observer=run.observer,
-                told=announce,
-                residuals=dict if tracking is None else tracking.off_K,
-                lockstep=request.mode == "lockstep",
-                resumption=resumption,
-                rearm=request.rearm,
-                guard=guard_of(request, folder, run.claim, rig),
-                watch=live_watch(ready.test, ready.rig, announce),
-            ),
-        )
-        async with serving(folder.control, engine, announce):
-            rig_pids = clock.pids if isinstance(clock, LockstepClock) else ()
-            turns = taking_turns(rig_pids) if rig_pids else contextlib.nullcontext()
-            with stopping(engine, run.signals), turns:
-                outcome = await engine.run()
+        journal = await _begun_journal(stack, run)
+        live = await _started(stack, run, journal)
+        outcome = await _replayed(run, live)
         run.claim.release()  # what follows needs no rig
-        # The diagnosis reads the samples alone: it need not wait until the calibrators have caught up.
-        last = None if live is None else asyncio.ensure_future(live.finish(folder.diagnosis))
-        if last is not None:
-            stack.callback(last.cancel)
-            if request.report:
-                await prepare_pages(review)
-        comparison = None if tracking is None else await _unless_interrupted(tracking.finish(), run)
-        outcome.problems.extend(tracking.failures if tracking is not None else ())
-        wall_s = loop.time() - began
-        reply = None
-        if live is not None and last is not None:
-            announce("diagnosing the whole run (Ctrl-C skips it)")
-            with interrupted(live.give_up, run.signals):
-                reply = await last
-        manifest |= end_entries(folder, manifest, outcome, resumption, wall_s) | {
-            "errors_K": None if comparison is None else asdict(comparison.errors),
-            "bands": None if comparison is None else comparison.bands,
-            "parameters": None if comparison is None else comparison.parameters,
-            "parameter_units": None if comparison is None else comparison.units,
-            "diagnosis": None if reply is None or reply.found is None else reply.found.verdict,
-        }
+        last = await _last_results(stack, run, live, outcome)
+        manifest |= end_entries(folder, manifest, outcome, run.resumption, last.wall_s) | _result_entries(last)
         journal.put_meta("exit_status", outcome.status)
         journal.put_meta("errors", manifest["errors_K"])
         try:
@@ -202,25 +169,126 @@ async def _run_in(run: PreparedRun) -> RunResult:
         except JournalError as error:  # a lost journal must not prevent the other files
             manifest["problems"] = [*manifest["problems"], str(error)]
     manifest.pop("adoption", None)  # from an earlier segment
-    # Pages that an earlier segment left would lack this one, so they are made anew.
-    pages = () if request.report else ((REVIEW, folder.review), (REPORT, folder.report))
-    not_made = {name for name, path in pages if not path.is_file()}
-    if review.complete:
-        not_made.add(REVIEW)
-    derived = derive_files(folder, manifest, announce, there=not_made, signals=run.signals)
-    duration_s = outcome.ticks * clock.period_s
+    derived = derive_files(
+        folder, manifest, run.announce, omitted=_omitted_pages(run, live.review), signals=run.signals
+    )
     return RunResult(
         derived.folder,
         outcome,
-        comparison,
-        duration_s,
-        wall_s,
-        review.shown,
-        reply,
+        last.comparison,
+        outcome.ticks * live.clock.period_s,
+        last.wall_s,
+        live.review.shown,
+        last.reply,
         derived.adopted,
         derived.gates,
         derived,
     )
+
+
+async def _begun_journal(stack: contextlib.AsyncExitStack, run: PreparedRun) -> JournalWriter:
+    """Return the open journal of a run, with its identity and alarms and, of a resumed one, the cut."""
+    resumption = run.resumption
+    header = _header(run.ready, () if run.tracking is None else run.tracking.calibrators)
+    journal = _opened(run.folder, header, again=resumption is not None)
+    stack.callback(_closed, journal)
+    journal.put_meta(RUN_UID, run.manifest["uid"])
+    journal.put_meta(META_KEY, as_document(definitions_of(run.ready.rig)))
+    await stack.enter_async_context(clocks_recorded(journal))
+    if resumption is not None and State(resumption.position.state) not in ENDED:
+        was = resumption.position
+        journal.state(was.tick, was.time_s, was.profile_s, was.state, "cut", State.IDLE.value, resumption.reason)
+    return journal
+
+
+async def _started(stack: contextlib.AsyncExitStack, run: PreparedRun, journal: JournalWriter) -> _LiveRun:
+    """Return the engine of a run, with calibrators, rig, live diagnosis and review started; `stack` closes them."""
+    folder, request, ready, resumption = run.folder, run.request, run.ready, run.resumption
+    tracking, announce = run.tracking, run.announce
+    if tracking is not None and resumption is not None:
+        tracking = await _restored(stack, run, tracking, journal)
+    began_s = asyncio.get_running_loop().time()
+    starts_s = 0.0 if resumption is None else resumption.first_tick(ready.rig.period_s) * ready.rig.period_s
+    rig, clock = await stack.enter_async_context(rig_and_clock(request, ready.rig, starts_s, announce))
+    connection = RigConnection(rig, clock.now)
+    if ready.network is not None and resumption is None:
+        parameters = ready.network.parameters
+        journal.put_meta("commissioned", {name: p.value for name, p in parameters.items()})
+        journal.put_meta("parameter_units", {name: p.unit for name, p in parameters.items()})
+    if tracking is not None:
+        tracking.attach(journal)
+        for name, why in tracking.left_out.items() if resumption is None else ():
+            journal.event(0, 0.0, "INFO", f"{name} is left out: {why}")
+    diagnosis = start_diagnosis(request, folder, journal, announce)
+    if diagnosis is not None:
+        stack.push_async_callback(diagnosis.close)
+    review = await stack.enter_async_context(run_review(request, folder, announce))
+    options = Options(
+        publisher=Publishers(tuple(p for p in (tracking, diagnosis) if p is not None)),
+        observer=run.observer,
+        told=announce,
+        residuals=dict if tracking is None else tracking.off_K,
+        lockstep=request.mode == "lockstep",
+        resumption=resumption,
+        rearm=request.rearm,
+        guard=guard_of(request, folder, run.claim, rig),
+        watch=live_watch(ready.test, ready.rig, announce),
+    )
+    engine = Engine(connection, clock, ready.profile, journal, options)
+    return _LiveRun(journal, engine, clock, tracking, diagnosis, review, began_s)
+
+
+async def _replayed(run: PreparedRun, live: _LiveRun) -> Outcome:
+    """Return the end of the engine's run, which operators steer and signals stop."""
+    async with serving(run.folder.control, live.engine, run.announce):
+        rig_pids = live.clock.pids if isinstance(live.clock, LockstepClock) else ()
+        turns = taking_turns(rig_pids) if rig_pids else contextlib.nullcontext()
+        with stopping(live.engine, run.signals), turns:
+            return await live.engine.run()
+
+
+async def _last_results(
+    stack: contextlib.AsyncExitStack, run: PreparedRun, live: _LiveRun, outcome: Outcome
+) -> _LastResults:
+    """Return the results of calibrators and diagnosis over the whole run; failed calibrators become problems of it."""
+    # The diagnosis reads the samples alone: it need not wait until the calibrators have caught up.
+    last = None if live.diagnosis is None else asyncio.ensure_future(live.diagnosis.finish(run.folder.diagnosis))
+    if last is not None:
+        stack.callback(last.cancel)
+        if run.request.report:
+            await prepare_pages(live.review)
+    tracking = live.tracking
+    comparison = None if tracking is None else await _unless_interrupted(tracking.finish(), run)
+    outcome.problems.extend(tracking.failures if tracking is not None else ())
+    wall_s = asyncio.get_running_loop().time() - live.began_s
+    reply = None
+    if live.diagnosis is not None and last is not None:
+        run.announce("diagnosing the whole run (Ctrl-C skips it)")
+        with interrupted(live.diagnosis.give_up, run.signals):
+            reply = await last
+    return _LastResults(comparison, reply, wall_s)
+
+
+def _result_entries(last: _LastResults) -> dict[str, Any]:
+    """Return the entries of `run.json` about the twins and the diagnosis."""
+    comparison, reply = last.comparison, last.reply
+    return {
+        "errors_K": None if comparison is None else asdict(comparison.errors),
+        "bands": None if comparison is None else comparison.bands,
+        "parameters": None if comparison is None else comparison.parameters,
+        "parameter_units": None if comparison is None else comparison.units,
+        "diagnosis": None if reply is None or reply.found is None else reply.found.verdict,
+    }
+
+
+def _omitted_pages(run: PreparedRun, review: RunReview) -> set[str]:
+    """Return the pages not to make: the review that was written live and, without a report, those that do not exist.
+
+    Pages that an earlier segment left would lack this one, so they are made anew.
+    """
+    pages = () if run.request.report else ((REVIEW, run.folder.review), (REPORT, run.folder.report))
+    omitted = {name for name, path in pages if not path.is_file()}
+    return omitted | {REVIEW} if review.complete else omitted
 
 
 async def _unless_interrupted(work: Coroutine[Any, Any, Comparison | None], run: PreparedRun) -> Comparison | None:
