@@ -15,22 +15,16 @@ from numpy.typing import ArrayLike
 
 from twin.calibrators.base import rmse
 from twin.calibrators.identifiability import UNIDENTIFIABLE_SHARE, condition_number
+from twin.commissioning.notes import notes_of
+from twin.commissioning.record import HealthyRecord
 from twin.gauss_newton import FitData, GaussianPrior, GaussNewtonFit, Scaling, fit_parameters
-from twin.kernel import Kernel, clean_time, hold_inputs, mask_measurements
+from twin.kernel import Kernel
 from twin.network import Array, Network, Revision, TwinFileError
 from twin.quantiles import NORMAL90
-from twin.segments import find_segments, simulate_segments
+from twin.segments import simulate_segments
 
-FIRST_SAMPLES = 30
-"""Readings whose mean is the first guess of the initial state, unless an input moves before."""
-MOVED = 0.01
-"""Share of its declared range by which an input must change to count as moved."""
-BEYOND = 0.1
-"""Share of an input's declared range by which a segment may leave the range of the rest."""
 FEWEST, FEWEST_IN_TIME = 10, 50
 """Residuals from which a variance is estimated, and from which an autocorrelation time is."""
-AT_BOUND = 1e-6
-"""Share of its range within which a value that ended on a bound is at it: more than the optimiser rounds by, 1e-9."""
 THINNED_S = 10.0
 """Interval of the samples from which the descents begin, s: the bin of a diagnosis, short beside a volume's memory."""
 INITIAL_SD_K = 5.0
@@ -166,105 +160,128 @@ def commission(
     on with all samples. The prior of the last descent is as strong against the data as the residuals are far from white
     (`variance_inflation`).
     """
-    tunables, held_out, initial_sd = options.tunables, options.held_out, options.initial_sd
-    if tunables == "commission" and "commission" not in network.sets:
-        tunables = None
-    ids = network.tunables(tunables)
-    if not ids:
-        raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
-    if not 0.05 <= held_out <= 0.5:
-        raise TwinFileError(f"held_out must be between 0.05 and 0.5, got {held_out:g}")
-    t, u = clean_time(time_s), hold_inputs(network, inputs)
-    y, weight = mask_measurements(measured, network.sigma)
-    if not len(t) == len(u) == len(y):
-        raise TwinFileError(f"time, inputs and measured differ in length: {len(t)}, {len(u)}, {len(y)}")
-    if len(t) < 100 or t[-1] - t[0] < network.rules.window_s:
-        raise TwinFileError(
-            f"the record has {len(t)} samples over {t[-1] - t[0] if len(t) else 0:.0f} s; commissioning needs at "
-            f"least 100 samples over {network.rules.window_s:.0f} s"
-        )
-    if not initial_sd > 0.0:
-        raise TwinFileError(f"initial_sd must be above 0 K, got {initial_sd:g}")
-    segments = find_segments(network, t, np.asarray(inputs, dtype=np.float64).reshape(u.shape))
-    weight = np.where(segments.lost[:, None], 0.0, weight)
-    split, end = _held_out(network, t, u, held_out)
-    seen = np.ones(len(t), dtype=bool)
-    seen[split:end] = False
-    if not (weight[seen] > 0.0).any() or not (weight[~seen] > 0.0).any():
-        raise TwinFileError("the record has no finite measurement in its fitted or in its held-out part")
-
+    ids = _checked_tunables(network, options)
+    record = HealthyRecord.of(network, time_s, inputs, measured, options.held_out)
     kernel, scaling = Kernel(network, ids), Scaling.of(network, ids)
-    raw = np.where(weight > 0.0, y, np.nan)
-    firsts = [slice(b, b + _before_any_input_moves(network, u[b:])) for b in segments.begins]
-    every0 = np.concatenate([network.initial_state(raw[first]) for first in firsts])
-    start = network.values[scaling.index]
-    rows = split if end == len(t) else len(t)
-    begins = tuple(b for b in segments.begins if b < rows)
-    state0 = every0[: len(begins) * len(network.nodes)]
-    data = FitData(t[:rows], u[:rows], y[:rows], np.where(seen[:, None], weight, 0.0)[:rows], begins)
-    prior = weak_prior(scaling, start, state0, initial_sd)
-    rng = np.random.default_rng(options.seed)
-    fits: list[GaussNewtonFit] = []
-    thin = data.thinned(THINNED_S)
-    for k in range(max(options.starts, 1)):
-        z = scaling.to_z(start) + (rng.normal(0.0, scaling.prior_sd()) if k else 0.0)
-        fits.append(fit_parameters(kernel, scaling, network.values, thin, scaling.to_values(z), state0, prior))
+    data, all_states = record.data(), record.first_states()
+    start, state = network.values[scaling.index], all_states[: len(data.begins) * len(network.nodes)]
+    prior = weak_prior(scaling, start, state, options.initial_sd)
+    fits = _descents(kernel, scaling, network, data.thinned(THINNED_S), state, prior, options)
     best = min(fits, key=lambda f: f.cost)
-    agree = sum(f.cost < best.cost * 1.001 for f in fits)
+    agree = sum(f.cost < best.cost * 1.001 for f in fits), len(fits)
 
-    def free_run(values: Array, state: Array) -> Array:
+    def residual_of(values: Array, state: Array) -> Array:
+        """Return the residual (n, m), K, of a free run through the whole record."""
         full = network.values.copy()
         full[scaling.index] = values
-        states = np.concatenate([state, every0[len(state) :]])
-        return simulate_segments(kernel, full[None], states[None], t, u, segments.begins)[0]
+        states = np.concatenate([state, all_states[len(state) :]])
+        run = simulate_segments(kernel, full[None], states[None], record.time, record.inputs, record.segments.begins)
+        return record.residual_of(run[0])
 
-    stale = np.where(weight > 0.0, free_run(start, state0) - y, np.nan)
-    residual = np.where(weight > 0.0, free_run(best.values, best.state) - y, np.nan)
-    widened = variance_inflation(residual[seen], network.sigma)
+    seen, stale = record.fitted, residual_of(start, state)
+    widened = variance_inflation(residual_of(best.values, best.state)[seen], network.sigma)
     # Residuals that are not white are worth fewer samples than there are. Without this, model error would
     # drive a parameter that the record does not identify to a bound.
     tempered = GaussianPrior(prior.mean, prior.precision * widened)
     best = fit_parameters(kernel, scaling, network.values, data, best.values, best.state, tempered)
-    residual = np.where(weight > 0.0, free_run(best.values, best.state) - y, np.nan)
+    residual = residual_of(best.values, best.state)
     covariance = np.asarray(np.linalg.inv(best.normal / widened + prior.precision), dtype=np.float64)
     spread = np.sqrt(np.diag(covariance)[: len(ids)])
     identified = spread / scaling.prior_sd() < UNIDENTIFIABLE_SHARE
     low, high = (scaling.to_values(scaling.to_z(best.values) + s * NORMAL90 * spread) for s in (-1.0, 1.0))
-    names = network.sensor_names
-    errors = [dict(zip(names, rmse(r), strict=True)) for r in (stale[~seen], residual[~seen], residual[seen])]
-    notes = _notes(network, ids, (agree, len(fits)), start, best, identified, u[seen], widened)
-    notes += [segments.sentence] if segments.gaps else []
-    silent = [name for j, name in enumerate(network.sensor_names) if not (weight[:, j] > 0.0).any()]
-    notes += [f"{', '.join(silent)}: no reading in the record, so nothing was fitted to it"] if silent else []
+    errors = _Errors.of(network, stale[~seen], residual[~seen], residual[seen])
+    notes = tuple(notes_of(record, ids, agree, start, best, identified, widened))
     values = dict(zip(ids, best.values.tolist(), strict=True))
-    revision = Revision(
-        number=network.revision.number + 1,
-        parent=network.digest,
-        made_by=options.made_by,
-        window_s=(float(t[0]), float(t[rows - 1])),
-        held_out_s=(float(t[split]), float(t[end - 1])),
-        error_before_K={k: v for k, v in errors[0].items() if np.isfinite(v)},
-        error_after_K={k: v for k, v in errors[1].items() if np.isfinite(v)},
-        error_fitted_K={k: v for k, v in errors[2].items() if np.isfinite(v)},
-        notes=tuple(notes),
-    )
     return CommissionResult(
-        network=network.with_values(values, revision),
+        network=network.with_values(values, _revision(record, data, errors, notes, options.made_by)),
         values=values,
         start=dict(zip(ids, start.tolist(), strict=True)),
         standard_error=dict(zip(ids, (spread * scaling.slope(best.values)).tolist(), strict=True)),
         interval90={name: (float(a), float(b)) for name, a, b in zip(ids, low, high, strict=True)},
         unidentifiable=tuple(name for name, ok in zip(ids, identified, strict=True) if not ok),
         at_bound=tuple(name for name, hit in zip(ids, best.at_bound, strict=True) if hit),
-        rmse_before=errors[0],
-        rmse_after=errors[1],
-        rmse_fitted=errors[2],
-        held_out_s=(float(t[split]), float(t[end - 1])),
+        rmse_before=errors.before,
+        rmse_after=errors.after,
+        rmse_fitted=errors.fitted,
+        held_out_s=record.held_out_s,
         covariance=covariance[: len(ids), : len(ids)],
         condition=condition_number(best.normal[: len(ids), : len(ids)]),
         state=best.state,
         evaluations=sum(f.evaluations for f in fits) + best.evaluations,
-        notes=tuple(notes),
+        notes=notes,
+    )
+
+
+def _checked_tunables(network: Network, options: CommissionOptions) -> tuple[str, ...]:
+    """Return the ids of the parameters to fit.
+
+    Raises
+    ------
+    TwinFileError
+        There are none, or an option is out of range.
+    """
+    tunables = options.tunables
+    if tunables == "commission" and "commission" not in network.sets:
+        tunables = None
+    ids = network.tunables(tunables)
+    if not ids:
+        raise TwinFileError(f"twin {network.name!r} has no tunables; set the status of at least one parameter")
+    if not 0.05 <= options.held_out <= 0.5:
+        raise TwinFileError(f"held_out must be between 0.05 and 0.5, got {options.held_out:g}")
+    if not options.initial_sd > 0.0:
+        raise TwinFileError(f"initial_sd must be above 0 K, got {options.initial_sd:g}")
+    return ids
+
+
+def _descents(
+    kernel: Kernel,
+    scaling: Scaling,
+    network: Network,
+    data: FitData,
+    state: Array,
+    prior: GaussianPrior,
+    options: CommissionOptions,
+) -> list[GaussNewtonFit]:
+    """Return the fits from the twin's own values and from random ones."""
+    rng, start = np.random.default_rng(options.seed), network.values[scaling.index]
+    fits: list[GaussNewtonFit] = []
+    for k in range(max(options.starts, 1)):
+        z = scaling.to_z(start) + (rng.normal(0.0, scaling.prior_sd()) if k else 0.0)
+        fits.append(fit_parameters(kernel, scaling, network.values, data, scaling.to_values(z), state, prior))
+    return fits
+
+
+@dataclass(frozen=True)
+class _Errors:
+    """Root mean square errors per sensor, K, as `CommissionResult` has them."""
+
+    before: dict[str, float]
+    after: dict[str, float]
+    fitted: dict[str, float]
+
+    @classmethod
+    def of(cls, network: Network, *residuals: Array) -> _Errors:
+        """Return the errors of residuals (., m), K: held out before and after the fit, and fitted."""
+        return cls(*(dict(zip(network.sensor_names, rmse(r), strict=True)) for r in residuals))
+
+    def finite(self) -> tuple[dict[str, float], ...]:
+        """Return the errors of sensors that have a reading there."""
+        return tuple({k: v for k, v in e.items() if np.isfinite(v)} for e in (self.before, self.after, self.fitted))
+
+
+def _revision(record: HealthyRecord, data: FitData, errors: _Errors, notes: tuple[str, ...], made_by: str) -> Revision:
+    """Return the entry of the new revision in its twin file."""
+    before, after, fitted = errors.finite()
+    return Revision(
+        number=record.network.revision.number + 1,
+        parent=record.network.digest,
+        made_by=made_by,
+        window_s=(float(data.time[0]), float(data.time[-1])),
+        held_out_s=record.held_out_s,
+        error_before_K=before,
+        error_after_K=after,
+        error_fitted_K=fitted,
+        notes=notes,
     )
 
 
@@ -272,34 +289,6 @@ def weak_prior(scaling: Scaling, values: Array, state: Array, state_sd: float) -
     """Return a prior centred on `values` (q,) and `state` (k,), as wide as `Scaling.prior_sd` and `state_sd` K."""
     sd = np.concatenate([scaling.prior_sd(), np.full(state.size, state_sd)])
     return GaussianPrior(np.concatenate([scaling.to_z(values), state]), np.diag(sd**-2.0))
-
-
-def _held_out(network: Network, time: Array, inputs: Array, share: float) -> tuple[int, int]:
-    """Return the first row of the held-out segment and the row after its last; the record's end where none is
-    better.
-    """
-    spans = np.array([spec.upper - spec.lower for spec in network.inputs.values()])
-    beyond = BEYOND * np.where(np.isfinite(spans), spans, np.ptp(inputs, axis=0))
-
-    def part(last: float) -> tuple[int, int]:
-        first_s, last_s = (time[0] + x * (time[-1] - time[0]) for x in (last - share, last))
-        return int(np.searchsorted(time, first_s)), len(time) if last == 1.0 else int(np.searchsorted(time, last_s))
-
-    for last in np.arange(1.0, share, -0.5 * share):
-        first, end = part(float(last))
-        inside, rest = inputs[first:end], np.delete(inputs, slice(first, end), axis=0)
-        low, high = rest.min(axis=0) - beyond, rest.max(axis=0) + beyond
-        if len(inside) and (inside >= low).all() and (inside <= high).all():
-            return first, end
-    return part(1.0)
-
-
-def _before_any_input_moves(network: Network, inputs: Array) -> int:
-    """Return the number of first rows of inputs (n, c) that show the initial state: 1 to `FIRST_SAMPLES`."""
-    first = inputs[:FIRST_SAMPLES]
-    width = np.array([spec.upper - spec.lower for spec in network.inputs.values()])
-    moved = (np.abs(first - first[0]) > MOVED * np.where(np.isfinite(width), width, 0.0)).any(axis=1)
-    return int(np.argmax(moved)) if moved.any() else len(first)
 
 
 def variance_inflation(residual: Array, sigma: Array) -> float:
@@ -325,22 +314,6 @@ def variance_inflation(residual: Array, sigma: Array) -> float:
     return worst
 
 
-def _switched_off(network: Network, at_bound: Mapping[str, float]) -> dict[str, float]:
-    """Return the parameters that ended at a bound of their kind which is its default, 0 or 1: their effect is off."""
-    specs = {f"{e.name}.{spec.name}": spec for e in network.elements for spec in e.parameter_specs()}
-    found = {}
-    for name, value in at_bound.items():
-        spec = specs[name]
-        nearest = min((spec.lower, spec.upper), key=lambda bound: abs(bound - value))
-        if (
-            spec.default == nearest
-            and nearest in (0.0, 1.0)
-            and abs(value - nearest) < AT_BOUND * (spec.upper - spec.lower)
-        ):
-            found[name] = nearest
-    return found
-
-
 def _correlation_time(r: Array) -> float:
     """Return the autocorrelation time of r (n,) in samples, 1 for white noise."""
     spectrum = np.abs(np.fft.rfft(r, 2 * r.size)) ** 2
@@ -349,47 +322,3 @@ def _correlation_time(r: Array) -> float:
     negative = np.flatnonzero(correlation < 0.05)
     until = int(negative[0]) if negative.size else correlation.size
     return 1.0 + 2.0 * float(correlation[1:until].sum())
-
-
-def _notes(
-    network: Network,
-    ids: tuple[str, ...],
-    agree: tuple[int, int],
-    start: Array,
-    best: GaussNewtonFit,
-    identified: np.ndarray,
-    inputs: Array,
-    widened: float,
-) -> list[str]:
-    notes = []
-    if agree[0] < agree[1]:
-        notes.append(f"{agree[0]} of {agree[1]} starts reached the best fit; the others ended above it")
-    constant = [c for c, column in zip(network.input_columns, inputs.T, strict=True) if np.ptp(column) == 0.0]
-    if constant:
-        notes.append(f"{', '.join(constant)} did not vary in the record, so their effects are not identifiable")
-    unidentified = [name for name, ok in zip(ids, identified, strict=True) if not ok]
-    moved = {
-        name: f"{a:.4g} to {b:.4g}"
-        for name, a, b in zip(ids, start.tolist(), best.values.tolist(), strict=True)
-        if name in unidentified and f"{a:.4g}" != f"{b:.4g}"
-    }
-    if kept := [name for name in unidentified if name not in moved]:
-        notes.append(f"the record does not identify {', '.join(kept)}; their values come from the twin file")
-    if moved:
-        steps = ", ".join(f"{name} ({step})" for name, step in moved.items())
-        notes.append(
-            f"the record does not identify {steps}; they moved within their prior only, together with other "
-            'parameters: status = "fixed" in the twin file keeps the value of the file'
-        )
-    hit = {name: value for name, value, at in zip(ids, best.values.tolist(), best.at_bound, strict=True) if at}
-    absent = _switched_off(network, hit)
-    bound = [name for name in hit if name not in absent]
-    if bound:
-        notes.append(f"{', '.join(bound)} ended on a bound; the model may lack an effect")
-    off = [f"{name} = {value:g}" for name, value in absent.items()]
-    if off:
-        names = ", ".join(off)
-        notes.append(f'{names}: the record shows no such effect; status = "fixed" in the twin file ends its fit')
-    if widened > 100.0:
-        notes.append(f"residuals are far from white (intervals widened {np.sqrt(widened):.0f} times)")
-    return notes
