@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from twin.discovery.answer.leads import with_leads
 from twin.discovery.answer.own_course import claimed
 from twin.discovery.answer.verdict import conclude
 from twin.discovery.diagnosis import Diagnosis
-from twin.discovery.effects.phrases import clock
 from twin.discovery.evidence.commissioned import (
     as_commissioned,
     as_healthy_elsewhere,
@@ -27,22 +26,21 @@ from twin.discovery.evidence.scan import logsumexp
 from twin.discovery.evidence.search import log_odds_unlisted
 from twin.discovery.evidence.split_search import SplitSearch
 from twin.discovery.healthy.basis import Basis, Columns, basis
+from twin.discovery.healthy.comparable import ComparableRecord
 from twin.discovery.healthy.operating_range import outside, range_notes, with_range_notes
 from twin.discovery.planning.experiment import Limits
 from twin.discovery.planning.forecast import Forecast, either, forecast, plan_of, too_little, too_still, unseen_kinds
 from twin.discovery.records.grid import Grid, on_grid, sample_period
-from twin.discovery.records.standstill import Standstill, standstill
-from twin.discovery.records.stuck_readings import Stuck, stuck
 from twin.discovery.scoring.score_tests import ScoreTest, block_edges
 from twin.discovery.thermometers.faulty_thermometers import (
+    FaultyThermometers,
     faulty_thermometers,
     unlisted_fault,
     with_faults,
     without_faults,
 )
 from twin.discovery.thermometers.members import Members, members
-from twin.network import Array, Network, TwinFileError, mean_of_sensors
-from twin.segments import CLOCK_PREFIX, LONG_GAP_S, Segments, find_segments
+from twin.network import Array, Network, TwinFileError
 from twin.steady import steady_state
 
 HELD_OUT = 0.25
@@ -80,66 +78,85 @@ def diagnose(
     TwinFileError
         A record too short or without readings, a healthy record that is not healthy.
     """
-    return claimed(_isolated(network, record, healthy, more=more, say=say, held_out=held_out, limits=limits))
+    question = _Question(network, healthy, more, say, held_out, limits)
+    return claimed(_isolated(question, record))
 
 
-def _isolated(
-    network: Network,
-    record: Columns,
-    healthy: Columns | None,
-    *,
-    more: tuple[Columns, ...],
-    say: Callable[[str], None],
-    held_out: float,
-    limits: Limits | None,
-) -> Diagnosis:
-    """Return the diagnosis before an effect with a course of its own is claimed; arguments as of `diagnose`."""
-    say("reading")
-    given = record
-    record, unread = _comparable(network, record, healthy)
-    gaps = find_segments(network, record.time_s, record.inputs)
-    record, stood = _moving(network, record, healthy)
-    # Before its inputs are known the twin cannot begin, and after that it cannot go on.
-    given_s, rows = given.time_s, slice(*find_segments(network, record.time_s, record.inputs).known)
-    given, record = given.part(rows), record.part(rows)
-    record, still = _without_stuck(network, record)
+@dataclass(frozen=True)
+class _Question:
+    """Arguments of `diagnose` but for the record, which a diagnosis without a faulty thermometer replaces."""
+
+    network: Network
+    healthy: Columns | None
+    more: tuple[Columns, ...]
+    say: Callable[[str], None]
+    held_out: float
+    limits: Limits | None
+
+
+def _isolated(question: _Question, given: Columns) -> Diagnosis:
+    """Return the diagnosis before an effect with a course of its own is claimed.
+
+    A thermometer that deviates from others of its place is examined first, and the record then diagnosed without its
+    fault. If nothing explains the rest, the fault was not all of the deviation, and the whole record is searched.
+    """
+    network, healthy = question.network, question.healthy
+    question.say("reading")
+    comparable = ComparableRecord.of(network, given, healthy)
+    record = comparable.record
     grid = on_grid(network, record.time_s, record.inputs, record.measured)
     known = basis(network, healthy, grid, sample_period(record.time_s))
     single = _members(known, record, grid, healthy, block_edges(len(grid.time)))
 
-    def again(other: Columns) -> Diagnosis:
-        return _isolated(network, other, healthy, more=more, say=say, held_out=held_out, limits=limits)
+    def without(faulty: FaultyThermometers) -> tuple[Diagnosis, Diagnosis]:
+        """Return the diagnosis without faulty thermometers, and the same with their faults among its effects."""
+        left = _isolated(question, without_faults(faulty, network, comparable.with_given_inputs()))
+        return left, with_faults(faulty, left, network, float(grid.time[0]), comparable.stuck)
 
-    start = float(grid.time[0])
     faulty = faulty_thermometers(single)
     if faulty is not None:
-        left = again(without_faults(faulty, network, replace(record, inputs=given.inputs)))
-        apart = with_faults(faulty, left, network, start, still)
+        left, apart = without(faulty)
         if faulty.settled or left.verdict != "unexplained":
             return apart
+        found = _searched(question, comparable, grid, known, single)
+        # With its course taken off nothing explains the rest: the course was not all its own.
+        return apart if found.verdict == "unexplained" else found
+    found = _searched(question, comparable, grid, known, single)
+    faulty = unlisted_fault(single) if found.verdict == "unexplained" else None
+    if faulty is None:
+        return found
+    _, apart = without(faulty)
+    return found if apart.verdict in ("effect found", "ambiguous") else apart
+
+
+def _searched(
+    question: _Question, comparable: ComparableRecord, grid: Grid, known: Basis, single: tuple[Members, ...]
+) -> Diagnosis:
+    """Return the diagnosis of a record by a search of effects, its held-out errors, and a verdict on both."""
+    network, healthy, say, record = question.network, question.healthy, question.say, comparable.record
     say("scanning")
-    split_search, answer = SplitSearch.of(network, record, known, grid, say).settled(held_out)
+    split_search, answer = SplitSearch.of(network, record, known, grid, say).settled(question.held_out)
     known, whole = split_search.known, split_search.whole
     finding, split = answer.finding, answer.split
-    notes = [*unread, *_said(known, gaps, stood), *_without_inputs(gaps, given_s), *answer.notes]
+    notes = [*comparable.missing, *_sentences(known, comparable), *comparable.cut, *answer.notes]
     answers = [e.candidate for r in finding.ranked for e in r.entries]
     whole.know(answers)
     further: list[Part] = []
-    if more and len(finding.ranked) > 1:
+    if question.more and len(finding.ranked) > 1:
         say("comparing with further records")
-        further = [split_search.part(on_grid(network, r.time_s, r.inputs, r.measured)) for r in more]
+        further = [split_search.part(on_grid(network, r.time_s, r.inputs, r.measured)) for r in question.more]
         for each in further:
             each.know(answers)
         finding, decided = reranked(finding, answer.train, further)
         notes += decided
-    off = split_search.held_out_errors(finding, split)
+    errors = split_search.held_out_errors(finding, split)
     # Without a healthy record nothing else tells how much a lumped twin leaves of a healthy rig.
-    usual = healthy is None and as_commissioned(network, off)
+    usual = healthy is None and as_commissioned(network, errors)
     if usual:
-        finding, off = nothing(finding), retuned_alone(off)
+        finding, errors = nothing(finding), retuned_alone(errors)
     if finding.fit is None:
-        usual = usual or (healthy is None and as_under_another_load(network, off))
-        notes += _hidden(whole, known)
+        usual = usual or (healthy is None and as_under_another_load(network, errors))
+        notes += _undetectable(whole, known)
         unseen = unseen_kinds(whole.score_test, whole.laws, known.book.candidates)
         notes += [f"this record could not have shown any {' or '.join(unseen)}"] if unseen else []
     say("judging")
@@ -149,13 +166,13 @@ def _isolated(
         whole=whole.score_test,
         grid=grid,
         split=split,
-        errors=off,
+        errors=errors,
         free=whole.free,
         laws=whole.laws,
         usual=usual,
         single=single,
-        still=still,
-        limits=limits,
+        still=comparable.stuck,
+        limits=question.limits,
         later=tuple(part.grid for part in further),
     )
     found = conclude(case, tuple(notes))
@@ -163,16 +180,7 @@ def _isolated(
     if elsewhere and (_as_healthy_elsewhere(case) or not _shows_within_range(case, healthy)):
         found = conclude(replace(case, finding=nothing(finding), beyond=True), (*notes, *elsewhere))
     found = with_range_notes(found, network, record, healthy)
-    found = with_leads(found, case, record, healthy)
-    if faulty is not None:
-        # With its course taken off nothing explains the rest: the course was not all its own.
-        return apart if found.verdict == "unexplained" else found
-    faulty = unlisted_fault(single) if found.verdict == "unexplained" else None
-    if faulty is None:
-        return found
-    left = again(without_faults(faulty, network, replace(record, inputs=given.inputs)))
-    left = with_faults(faulty, left, network, start, still)
-    return found if left.verdict in ("effect found", "ambiguous") else left
+    return with_leads(found, case, record, healthy)
 
 
 def _as_healthy_elsewhere(case: AssessedFinding) -> bool:
@@ -202,24 +210,13 @@ def _shows_within_range(case: AssessedFinding, healthy: Columns | None) -> bool:
     return logsumexp(np.array([*log_odds_unlisted(part).values()])) >= case.finding.claim
 
 
-def _said(known: Basis, *others: Segments | Standstill | None) -> list[str]:
+def _sentences(known: Basis, comparable: ComparableRecord) -> list[str]:
     """Return the notes about a healthy record and about a record's gaps and standstills."""
-    said = (known, known.structure, known.missing, known.bootstrap, *others)
-    return [told.sentence for told in said if told is not None and told.sentence]
+    parts = (known, known.structure, known.missing, known.bootstrap, comparable.gaps, comparable.standstill)
+    return [part.sentence for part in parts if part is not None and part.sentence]
 
 
-def _without_inputs(gaps: Segments, time_s: Array) -> list[str]:
-    """Return notes about the beginning and the end of a record, times (N,) s, where its inputs are unknown for long."""
-    first_s, last_s = time_s[slice(*gaps.known)][[0, -1]]
-    notes = []
-    if first_s - time_s[0] > LONG_GAP_S:
-        notes.append(f"the inputs are unknown before {clock(first_s)}: the diagnosis begins there")
-    if time_s[-1] - last_s > LONG_GAP_S:
-        notes.append(f"the inputs are unknown after {clock(last_s)}: the diagnosis ends there")
-    return notes
-
-
-def _hidden(whole: Part, known: Basis) -> list[str]:
+def _undetectable(whole: Part, known: Basis) -> list[str]:
     """Return a note if the record excites too little to detect most effects, though its inputs moved enough.
 
     Raises
@@ -238,64 +235,8 @@ def _hidden(whole: Part, known: Basis) -> list[str]:
     return [f"beside what this twin leaves in health, the record could only have shown a very large {either(kinds)}"]
 
 
-def _comparable(network: Network, record: Columns, healthy: Columns | None) -> tuple[Columns, list[str]]:
-    """Return the record without the readings of sensors that the healthy record lacks, and a note on those missing in
-    either.
-    """
-    measured, notes = record.measured.copy(), []
-    for j, name in enumerate(network.sensor_names):
-        if not np.isfinite(measured[:, j]).any():
-            notes.append(f"{name} has no reading in this record: what is there is told by the others")
-        elif healthy is not None and not np.isfinite(healthy.measured[:, j]).any():
-            measured[:, j] = np.nan
-            notes.append(f"{name} is left aside, as the healthy record has no reading of it")
-        elif healthy is not None and name in record.members and name in healthy.members:
-            here, then = record.members[name], healthy.members[name]
-            seen, whole = np.asarray(np.isfinite(here).any(axis=0)), np.asarray(np.isfinite(then).all(axis=1))
-            # The mean of fewer thermometers than were there in health is another one.
-            if not seen.all() and whole.any():
-                measured[:, j] -= float((then[whole][:, seen].mean(axis=1) - then[whole].mean(axis=1)).mean())
-                missing = [c for i, c in enumerate(network.sensors[j].measured) if not seen[i]]
-                notes.append(f"{' and '.join(missing)} is not in this record: {name} is the mean of the others")
-    return replace(record, measured=measured), notes
-
-
-def _moving(network: Network, record: Columns, healthy: Columns | None) -> tuple[Columns, Standstill | None]:
-    """Return the record without the periods in which pump or fan stood still and never did so in health."""
-    if healthy is None:
-        return record, None
-    stood = standstill(network, record.time_s, record.inputs, healthy.inputs)
-    if not stood.count:
-        return record, None
-    inputs, measured = record.inputs.copy(), record.measured.copy()
-    driven = np.array([not c.endswith("_C") and not c.startswith(CLOCK_PREFIX) for c in network.input_columns])
-    inputs[stood.rows[:, None] & driven] = np.nan
-    measured[stood.rows] = np.nan
-    members = {name: np.where(stood.rows[:, None], np.nan, each) for name, each in record.members.items()}
-    return replace(record, inputs=inputs, measured=measured, members=members), stood
-
-
-def _without_stuck(network: Network, record: Columns) -> tuple[Columns, tuple[Stuck, ...]]:
-    """Return the record without the readings of stuck thermometers, and what was removed."""
-    found: list[Stuck] = []
-    measured = record.measured.copy()
-    members = {name: each.copy() for name, each in record.members.items()}
-    for j, sensor in enumerate(network.sensors):
-        sigma = network.parameters[f"{sensor.name}.sigma"].value
-        each = members.get(sensor.name)
-        columns = measured[:, j : j + 1] if each is None else each
-        names = sensor.measured if each is not None else sensor.measured[:1]
-        spans = [s for i, name in enumerate(names) for s in stuck(name, record.time_s, columns[:, i], sigma)]
-        for span in spans:
-            columns[span.rows, names.index(span.column)] = np.nan
-        if spans and each is not None:
-            measured[:, j] = mean_of_sensors(each)
-        found += spans
-    return replace(record, measured=measured, members=members), tuple(found)
-
-
 def _members(
-    told: Basis, record: Columns, grid: Grid, healthy: Columns | None, edges: np.ndarray
+    known: Basis, record: Columns, grid: Grid, healthy: Columns | None, edges: np.ndarray
 ) -> tuple[Members, ...]:
     """Return the single thermometers that the record and a healthy one have.
 
@@ -303,9 +244,9 @@ def _members(
     """
     if healthy is None or not record.members:
         return ()
-    network = told.probe.network
-    ours = {s.name for s in network.sensors if s.node not in told.taken_up}
-    known = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
+    network = known.probe.network
+    ours = {s.name for s in network.sensors if s.node not in known.taken_up}
+    before = on_grid(network, healthy.time_s, healthy.inputs, healthy.measured)
 
     def means(columns: Columns, on: Grid) -> dict[str, Array]:
         return {
@@ -314,7 +255,7 @@ def _members(
             if name in ours
         }
 
-    return members(network, means(record, grid), grid, means(healthy, known), known, edges)
+    return members(network, means(record, grid), grid, means(healthy, before), before, edges)
 
 
 def foresee(network: Network, record: Columns, healthy: Columns | None = None) -> Forecast:
