@@ -16,7 +16,7 @@ from tests.discovery.test_records import TWINS, added, heaters
 from twin.discovery.diagnosis import SensorError
 from twin.discovery.effects.catalogue import catalogue, sites_of
 from twin.discovery.effects.phrases import said
-from twin.discovery.evidence.held_out import misled, worse
+from twin.discovery.evidence.held_out import leaves_more_squares, weights_unreliable
 from twin.discovery.growing.answer import diagnose_grown
 from twin.discovery.growing.beam import Beam, FittedSet, _finalists, likeliest
 from twin.discovery.growing.growth import grow
@@ -154,9 +154,11 @@ def test_a_sensor_without_a_reading_is_named_and_spoils_nothing() -> None:
 
 
 def test_what_is_worse_than_re_tuning_is_no_finding(room: Network) -> None:
-    assert worse({"T_room_C": SensorError(3.0, 0.476, 0.593, 0.1)})
-    assert not worse({"T_room_C": SensorError(3.0, 0.476, 0.4, 0.1)})
+    assert leaves_more_squares({"T_room_C": SensorError(3.0, 0.476, 0.593, 0.1)})
+    assert not leaves_more_squares({"T_room_C": SensorError(3.0, 0.476, 0.4, 0.1)})
     # Both are noise.
-    assert not worse({"T_room_C": SensorError(3.0, 0.02, 0.04, 0.05)})
+    assert not leaves_more_squares({"T_room_C": SensorError(3.0, 0.02, 0.04, 0.05)})
     far = SensorError(2.26, 1.82, 85.7, 0.2, (2.26, 1.82, 85.7))
-    assert misled({"T_room_C": far}, room) and not misled({"T_room_C": replace(far, after=2.2)}, room)
+    assert weights_unreliable({"T_room_C": far}, room) and not weights_unreliable(
+        {"T_room_C": replace(far, after=2.2)}, room
+    )

@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.discovery.answer.assessed_finding import AssessedFinding
 from twin.discovery.evidence.commissioned import explains_too_little
-from twin.discovery.evidence.held_out import contradicted, predicts_worse
+from twin.discovery.evidence.held_out import contradicted
 from twin.discovery.evidence.priors import FORM_ERRORS
 from twin.discovery.places.localise import acts_all_along
 from twin.discovery.places.sites import sites_of
@@ -25,8 +25,7 @@ def accepted(case: AssessedFinding) -> bool:
     held_out_s = (len(case.grid.time) - case.split) * case.grid.step_s
     if held_out_s < case.whole.step_s:
         return True
-    worse = predicts_worse(case.errors, case.finding.entries)
-    return not worse and not contradicted(case.errors, case.known.probe.network)
+    return not contradicted(case.errors, case.known.probe.network, case.finding.entries)
 
 
 def effect_on_a_bound(case: AssessedFinding) -> Entry | None:

@@ -29,7 +29,7 @@ from twin.discovery.effects.probe import FreeRun
 from twin.discovery.effects.shapes import TIMED
 from twin.discovery.evidence.commissioned import nothing, retuned_alone
 from twin.discovery.evidence.finding import Finding, Ranked
-from twin.discovery.evidence.held_out import contradicted, misled
+from twin.discovery.evidence.held_out import contradicted, weights_unreliable
 from twin.discovery.evidence.priors import DRIVERS
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.places.empirical import Empirical, TooMuchHeat, offer
@@ -150,7 +150,7 @@ def _unknown(case: AssessedFinding) -> Answer:
     if finding.fit is None and max(finding.odds, finding.unlisted) < finding.claim:
         return Answer("unexplained", alternatives=nearest_effects(finding), notes=(_TOO_LITTLE,))
     # Noise that a healthy record told does not let slow error pass.
-    if case.known.plain is None and misled(case.errors, case.known.probe.network):
+    if case.known.plain is None and weights_unreliable(case.errors, case.known.probe.network):
         return Answer("unexplained", alternatives=nearest_effects(case.finding))
     description: dict[str, Any] = {}
     if free:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from twin.discovery.diagnosis import Alternative, Effect, SensorError, Verdict
 from twin.discovery.effects.phrases import SHORT_S, amount, clock, lasting, said, when
 from twin.discovery.effects.statement import disturbance_statement
-from twin.discovery.evidence.held_out import MUCH_WORSE, worse
+from twin.discovery.evidence.held_out import MUCH_WORSE, leaves_more_squares
 from twin.discovery.places.sites import spoken
 from twin.discovery.scoring.equivalence import OPEN
 from twin.discovery.scoring.search import Entry
@@ -107,7 +107,7 @@ def summarise(
             f"re-tuned, by {e.after:.2g} K with the new term, at a noise of {e.noise:.2g} K."
         )
     if verdict == "unexplained":
-        if not effects and finding.fit is not None and worse(errors, MUCH_WORSE):
+        if not effects and finding.fit is not None and leaves_more_squares(errors, MUCH_WORSE):
             e = errors[worst := max(errors, key=lambda n: errors[n].after / errors[n].noise)]
             return (
                 "The twin does not fit this record, and nothing is told of why: the best effect that was tried leaves "

@@ -27,48 +27,61 @@ MOST = 0.5
 HELD_OUT_WORSE, MUCH_WORSE = 1.04, 4.0
 """Ratios of the squares to those of re-tuning alone. From the first an answer is worse than none. From the second the
 weights of the search are in doubt: without a healthy record they may treat slow misfit as noise."""
-KEPT = 4
+CACHED_RUNS = 4
 """Free runs in the cache."""
 
 
-def contradicted(found: Mapping[str, SensorError], network: Network) -> bool:
+def contradicted(errors: Mapping[str, SensorError], network: Network, entries: Sequence[Entry] = ()) -> bool:
+    """Return True if the held-out segment speaks against an answer.
+
+    Args:
+        entries: effects of the answer, none if it is a curve.
+    """
+    return _lasting_leave_more(errors, entries) or _most_squares_remain(errors, network)
+
+
+def _most_squares_remain(errors: Mapping[str, SensorError], network: Network) -> bool:
     """Return True if an answer has a large error, and most of the re-tuned twin's squares remain where it acts.
 
     A sensor's weight is the square of the difference that the answer predicts there beyond re-tuning, in the usual
     error of health, which is noise where no healthy record shows more. Model error of a lumped twin at other sensors
     under a new load does not count. An answer that predicts no difference above the usual error, such as one whose
-    effect has passed, is not contradicted.
+    effect has passed, leaves nothing to compare.
     """
-    weights = {name: (e.moved / max(e.noise, e.usual)) ** 2 for name, e in found.items()}
-    if sum(weights.values()) < len(found):
+    weights = {name: (e.moved / max(e.noise, e.usual)) ** 2 for name, e in errors.items()}
+    if sum(weights.values()) < len(errors):
         return False
-    before, after = (sum(w * (found[n].means[k] / found[n].noise) ** 2 for n, w in weights.items()) for k in (1, 2))
-    far = any(_far(network, name, e.means[2], e.usual) for name, e in found.items())
+    before, after = (sum(w * (errors[n].means[k] / errors[n].noise) ** 2 for n, w in weights.items()) for k in (1, 2))
+    far = any(_far(network, name, e.means[2], e.usual) for name, e in errors.items())
     return far and after > MOST * before
 
 
-def worse(found: Mapping[str, SensorError], times: float = HELD_OUT_WORSE) -> bool:
-    """Return True if an answer leaves more held-out squares than re-tuning alone, over all sensors, and more than
-    noise.
+def leaves_more_squares(errors: Mapping[str, SensorError], times: float = HELD_OUT_WORSE) -> bool:
+    """Return True if an answer leaves more held-out squares than `times` those of re-tuning alone, and than noise.
+
+    Squares are over noise, and summed over all sensors.
     """
-    before = sum((e.before / e.noise) ** 2 for e in found.values())
-    return sum((e.after / e.noise) ** 2 for e in found.values()) > times * max(before, len(found))
+    before = sum((e.before / e.noise) ** 2 for e in errors.values())
+    return sum((e.after / e.noise) ** 2 for e in errors.values()) > times * max(before, len(errors))
 
 
-def predicts_worse(found: Mapping[str, SensorError], entries: Sequence[Entry]) -> bool:
+def _lasting_leave_more(errors: Mapping[str, SensorError], entries: Sequence[Entry]) -> bool:
     """Return True if effects that stay leave more held-out squares than re-tuning alone.
 
     An effect that has passed, such as a refill, predicts nothing about what comes later.
     """
     stays = all(e.shape.name in STAYING and not e.candidate.passes and not e.candidate.begins for e in entries)
-    return bool(entries) and stays and worse(found)
+    return bool(entries) and stays and leaves_more_squares(errors)
 
 
-def misled(found: Mapping[str, SensorError], network: Network) -> bool:
-    """Return True if an answer is so much worse than none that unknown quantities by the same weights are unreliable
-    too.
+def weights_unreliable(errors: Mapping[str, SensorError], network: Network) -> bool:
+    """Return True if an answer is so much worse than none that the weights of the search are in doubt.
+
+    Unknown quantities that were found by the same weights are then unreliable too.
     """
-    return worse(found, MUCH_WORSE) and any(_far(network, name, e.means[2], e.usual) for name, e in found.items())
+    return leaves_more_squares(errors, MUCH_WORSE) and any(
+        _far(network, name, e.means[2], e.usual) for name, e in errors.items()
+    )
 
 
 @dataclass(frozen=True)
@@ -76,7 +89,9 @@ class HeldOutRecord:
     """Record with a held-out segment at its end, which the fit of a finding did not use.
 
     Attributes:
-        network: as commissioned. healthy: noise with all model error, as estimated from a healthy record.
+        network: as commissioned.
+        record, grid: the record, and its bins, in which a finding names the `split` of fit and held-out segment.
+        healthy: noise with all model error, as estimated from a healthy record.
     """
 
     network: Network
@@ -103,9 +118,12 @@ class HeldOutRecord:
                 out[name] = SensorError(raw[0], raw[1], raw[2], noise, of_means, float(usual[j]), apart)
         return out
 
-    def refutes(self, finding: Finding, split: int) -> bool:
-        """Return True if an answer's error from bin `split` on is larger than usual, or than that of re-tuning."""
-        if predicts_worse(self.errors(finding, split), finding.entries):
+    def exceeds_usual(self, finding: Finding, split: int) -> bool:
+        """Return True if an answer's error from bin `split` on is larger than usual, or than that of re-tuning.
+
+        The fit may then need more of the record. Stricter than `contradicted`: errors of all sensors count.
+        """
+        if _lasting_leave_more(self.errors(finding, split), finding.entries):
             return True
         run, usual = self._answered(finding), self._usual(finding, split)
         return any(
@@ -134,7 +152,7 @@ class HeldOutRecord:
             begins = tuple(int(np.searchsorted(time, self.grid.time[b])) for b in self.grid.begins)
             state = model.begun(time, inputs, self._measured, state, values, begins)
             sizes = np.array([[e.size for e in entries]])
-            while len(self._runs) >= KEPT:
+            while len(self._runs) >= CACHED_RUNS:
                 del self._runs[next(iter(self._runs))]
             self._runs[key] = model.run(time, inputs, state[None], values[None, :], sizes, begins=begins)[0]
         return self._runs[key]
@@ -177,6 +195,7 @@ def _far(network: Network, sensor: str, means: float, usual: float) -> bool:
 
 
 def binned(values: Array, time: Array, grid: Grid) -> Array:
+    """Return the means (n,) over the bins of a grid of values (N,) at times (N,), s; NaN for a bin without a value."""
     where = np.minimum(((time - grid.time[0]) / grid.step_s + 1e-9).astype(np.intp), len(grid.time) - 1)
     good = np.isfinite(values)
     count = np.bincount(where[good], minlength=len(grid.time))
@@ -185,5 +204,6 @@ def binned(values: Array, time: Array, grid: Grid) -> Array:
 
 
 def _rms(values: Array) -> float:
+    """Return the root mean square of the finite values; NaN without any."""
     good = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(good**2))) if good.size else float("nan")

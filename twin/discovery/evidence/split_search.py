@@ -154,7 +154,7 @@ class SplitSearch:
         # An unknown of no listed form that is likelier than every named one lacks a form, not more of the record.
         formless = found.finding.unlisted > max(found.finding.odds, claim)
         missed = found.finding.fit is None and odds > claim and not formless
-        wrong = found.finding.fit is not None and self._held_out.refutes(found.finding, split)
+        wrong = found.finding.fit is not None and self._held_out.exceeds_usual(found.finding, split)
         # Where all of the record allows a claim, what shows in its very end alone is looked for there.
         tried: dict[int, SplitFinding] = {}
         for end in (most, bins - KEPT) if missed else (most,) if wrong else ():

@@ -15,7 +15,7 @@ import numpy as np
 from twin.discovery.answer.isolation import SURE
 from twin.discovery.diagnosis import Alternative, Diagnosis, Effect, Moved, Rung, SensorError, Verdict
 from twin.discovery.effects.phrases import amount, said
-from twin.discovery.evidence.held_out import binned, worse
+from twin.discovery.evidence.held_out import binned, leaves_more_squares
 from twin.discovery.growing.beam import BEAM
 from twin.discovery.growing.growth import MOST_EFFECTS, Added, Growth, grow_samples, samples_of, states_of
 from twin.discovery.growing.growth_problem import GrowthFit, SampledRecord
@@ -112,8 +112,8 @@ class _GrownDiagnosis:
         if not errors:
             raise TwinFileError("the part of the record that is held out has no reading of any of the twin's sensors")
         good = g.verdict == "adequate" or misfit[-1] <= max(LEFT, REST * misfit[0])
-        good = good and all(e.after <= FAR * e.noise for e in errors.values()) and not worse(errors)
-        mostly = not good and not worse(errors) and self._mostly(misfit, errors)
+        good = good and all(e.after <= FAR * e.noise for e in errors.values()) and not leaves_more_squares(errors)
+        mostly = not good and not leaves_more_squares(errors) and self._mostly(misfit, errors)
         effects = tuple(self._effect(a) for a in self.added)
         verdict: Verdict
         if not effects:
@@ -125,7 +125,7 @@ class _GrownDiagnosis:
         refused = tuple(Alternative(r.kind, r.where, r.driver, 0.0, r.why) for r in g.refused)
         if verdict == "unexplained":
             why = "passes its tests, but all effects that do leave the record unexplained"
-            if worse(errors):
+            if leaves_more_squares(errors):
                 why = "passes its tests where it was fitted, but all that do predict the held-out part worse"
             own = (Alternative(e.kind, e.where, e.driver, 0.0, f"{e.says}: {why}") for e in effects)
             refused = (*own, *refused)
@@ -158,7 +158,7 @@ class _GrownDiagnosis:
                 self.network,
                 self.record,
                 self.whole,
-                self.residuals[1 if worse(errors) else 2],
+                self.residuals[1 if leaves_more_squares(errors) else 2],
                 self.residuals[1],
                 verdict,
             ),
@@ -314,7 +314,7 @@ class _GrownDiagnosis:
         won = f"with the {best}" if self.added else "re-tuned"
         worst, e = max(errors.items(), key=lambda item: item[1].after / item[1].noise)
         cut = "." if self.whole.at_rest else _CUT
-        if self.added and worse(errors):
+        if self.added and leaves_more_squares(errors):
             worst, e = max(errors.items(), key=lambda item: (item[1].after - item[1].before) / item[1].noise)
             return (
                 "The twin does not fit this record, and no effects of the catalogue explain it: those that fit it best "
