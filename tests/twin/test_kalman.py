@@ -59,7 +59,7 @@ def test_tracked_stays_a_prediction(loop: Network) -> None:
 
 @pytest.mark.parametrize("tunables", ["paper4", "nine", "twelve"])
 def test_does_not_diverge(loop: Network, tunables: str) -> None:
-    """A naive joint filter does with nine and with twelve (shared/METHODS: RMSE 0.54 and 1.19 K)."""
+    """A naive joint filter does with nine and with twelve: its RMSE was 0.54 and 1.19 K."""
     t, u, y, _ = record(loop, {"fins.UA_100": 70.0, "radiator_to_tank.resistance": 0.5}, n=9000)
     update = TwinTracker(loop, "kalman", tunables=tunables).push(t, u, y)
     floor = float(np.sqrt(np.mean(loop.sigma**2)))

@@ -24,7 +24,8 @@ from twin.tower.model import DEVIATIONS, GLOBALS
 from twin.tower.twin_file import BOUNDS
 
 MOST_CONDITION = 80.0
-"""Limit of the paper; on the tower it falls where its excitation thresholds are (METHODS 4.4)."""
+"""Limit of the paper (2023). With the law of a dry share it separates the days whose flow or fan moves as `EXCITATION`
+requires from the others."""
 MOST_HIDDEN = 0.25
 """Share of channels that may be hidden."""
 TOLERANCE = {"outlet": 0.3, "fan": 0.025, "evaporation": 0.05, "basin": 0.4}

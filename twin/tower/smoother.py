@@ -59,9 +59,9 @@ FLAT = 0.02
 """Largest change of a step below which the sensitivities of the step before are used again."""
 BLOCK_S = 600.0
 CORRELATION = (3.0, 144.0)
-"""Least and most autocorrelation time, blocks: half an hour (METHODS 4.4), and a day. What stays for longer is for
-the slow
-deviations to explain: without a limit a bad fit would weigh itself ever less."""
+"""Least and most autocorrelation time, blocks: half an hour, over which weather within an hour is correlated, and a
+day. What stays for longer is for the slow deviations to explain: without a limit a bad fit would weigh itself ever
+less."""
 HUBER = 2.5
 """Standard deviations beyond which a block is weighed down."""
 CONSIDERED = ("fill_share", "wetting")

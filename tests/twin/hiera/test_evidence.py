@@ -92,7 +92,7 @@ def test_without_data_the_prior_comes_back():
 
 
 def test_conduction_beside_the_flow_is_never_told():
-    """Its effect hides behind advection: METHODS and the paper's own tables agree."""
+    """Its effect hides behind advection, as in the paper's own tables."""
     _, found = fitted(made(N))
     assert not found.told[[k for k, i in enumerate(DEVIATIONS.ids) if i.endswith("resistance")]].any()
 

@@ -28,7 +28,8 @@ TEST = 3.0 / 14.0
 """Parts of a record: 9, 2 and 3 of 14 months for training, choice and test, a day apart."""
 MONTH_S = 30.0 * DAY_S
 BLOCK_SIGMA = 0.3
-"""Standard deviation of a block's outlet, K, for a fit that does not learn the twin's own error: METHODS 5.2."""
+"""Standard deviation of a block's outlet, K, for a fit that does not learn the twin's own error:
+about the difference of Merkel's method from a real cell over all weather."""
 PERSISTENT_BLOCKS = 3
 NEUTRAL = {"fill_share": 1.0, "wetting": 1.0, "starving": STARVING, "draft": 0.02, "kappa": -1.3}
 """Global quantities with which the model is the clean cell's; the others are 0."""
