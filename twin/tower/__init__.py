@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from twin.tower.clean_cell.commissioning import CommissionedCell, CommissioningError, TestPoints, fit_clean_cell
     from twin.tower.diagnosis.adoption import adopted, effects_of
     from twin.tower.effects import UNITS, CellEffect
-    from twin.tower.estimates import DAY_S, Opening, Priors, moved_grid, time_grid
+    from twin.tower.estimates import DAY_S, WALK, Opening, Priors, moved_grid, time_grid
     from twin.tower.identify import MOST_CONDITION, MOST_HIDDEN, Identifiability, condition_text
     from twin.tower.minutes import MEASURED, Minutes, blocks_of, first_order_lag, minutes_of
     from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel, DesignPoint
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from twin.tower.recursive import Recursion, filter_cell
     from twin.tower.shared_observations.basin import Drain, with_basin
     from twin.tower.shared_observations.evaporation import Balance, with_evaporation
-    from twin.tower.smoother import WALK, estimate
+    from twin.tower.smoother import estimate
     from twin.tower.twin_file import (
         BOUNDS,
         IDS,
@@ -136,7 +136,7 @@ __getattr__, __dir__ = lazy_names(
         "clean_cell.commissioning": ("CommissionedCell", "CommissioningError", "TestPoints", "fit_clean_cell"),
         "diagnosis.adoption": ("adopted", "effects_of"),
         "effects": ("CellEffect", "UNITS"),
-        "estimates": ("DAY_S", "Opening", "Priors", "moved_grid", "time_grid"),
+        "estimates": ("DAY_S", "Opening", "Priors", "WALK", "moved_grid", "time_grid"),
         "identify": ("Identifiability", "MOST_CONDITION", "MOST_HIDDEN", "condition_text"),
         "minutes": ("MEASURED", "Minutes", "blocks_of", "first_order_lag", "minutes_of"),
         "model": ("CellModel", "DEVIATIONS", "DesignPoint", "NAMES", "SLOW"),
@@ -144,7 +144,7 @@ __getattr__, __dir__ = lazy_names(
         "recursive": ("Recursion", "filter_cell"),
         "shared_observations.basin": ("Drain", "with_basin"),
         "shared_observations.evaporation": ("Balance", "with_evaporation"),
-        "smoother": ("WALK", "estimate"),
+        "smoother": ("estimate",),
         "twin_file": (
             "BOUNDS",
             "IDS",

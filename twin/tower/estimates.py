@@ -1,4 +1,9 @@
-"""Priors and posterior of a cell's slow deviations on a grid of half days."""
+"""Priors and posterior of a cell's slow deviations on a grid of half days.
+
+Each deviation walks with a variance in proportion to time, about a mean change that is known, or unknown and lasting
+(the fill). A documented event opens a jump at its date. Where nothing was read for days, a jump that nobody announced
+is not detectable, so the walk takes its variance there.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +23,28 @@ MOST_CELLS = 450
 """Cells of the time grid: the equations are solved densely in their number times five."""
 FLOW_METER = 0.015
 """Standard deviation of a flow meter's gain."""
+WALK = {"fill": 0.002, "air": 0.0015, "uniformity": 0.002, "bias": 0.01, "flow_meter": 0.0005}
+"""Standard deviation of a day's change. Fills lose 0.2 to 0.6 % a week, so a month is known to some 1 %; thermometers
+drift by some 0.05 K a month, flow meters by some 0.3 %."""
+TREND = {"fill": -0.0006, "air": -0.0001, "uniformity": -0.0003, "bias": 0.0, "flow_meter": 0.0}
+"""Mean change of a day."""
+CLEANED_D = 120.0
+"""Days between two cleanings of a cell: some three a year."""
+RATE_SD = {"fill": 0.25 / (2.0 * CLEANED_D)}
+"""Standard deviation of the mean change of a day, a constant of the record: water that scales fast takes the fill's
+bound of 25 % between two cleanings, as two of them. A walk alone has no lasting rate, so it would follow such a fill
+late, and give the rest to the other deviations."""
+JUMP = {"fill": 0.08, "air": 0.06, "uniformity": 0.05, "bias": 0.4, "flow_meter": 0.0}
+"""Standard deviation of a jump that an event opens: a cleaning gives back what was lost, a new thermometer is another
+one."""
+RATE_D = {"fill": 1.0 / 1200.0, "air": 1.0 / 1200.0, "uniformity": 1.0 / 1200.0, "bias": 1.0 / 120.0}
+"""Undeclared changes a day. One thermometer in a plant steps or is exchanged some three times a year; a cell is cleaned
+two or three times, and one entry in eight is missing."""
+UNREAD_S = 5.0 * DAY_S
+"""Days without a reading from which a jump in them is not detectable: the least time between two that a search tells
+apart (`change_detection`)."""
+_LEAST_VARIANCE = 1e-14
+"""Variance of an increment at least: a deviation that does not walk keeps a finite precision."""
 
 
 @dataclass(frozen=True)
@@ -167,3 +194,71 @@ def moved_grid(edges_s: Array, jumps_s: Sequence[float]) -> Array:
         if free[nearest] and edges[nearest - 1] < time_s < edges[nearest + 1]:
             edges[nearest], free[nearest] = time_s, False
     return edges
+
+
+def unread_days(edges_s: Array, read: NDArray[np.bool_]) -> Array:
+    """Return the days of each increment of a time grid that lie in spans of `UNREAD_S` without a reading (k - 1,).
+
+    Parameters
+    ----------
+    edges_s
+        (k + 1,) s.
+    read
+        Cells of the grid with a reading (k,).
+    """
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], ~read, [False]]).astype(np.int8)))
+    days = np.zeros(len(read))
+    for first, last in zip(ends[::2], ends[1::2], strict=True):
+        if edges_s[last] - edges_s[first] >= UNREAD_S:
+            days[first:last] = np.diff(edges_s[first : last + 1]) / DAY_S
+    return np.asarray(0.5 * (days[:-1] + days[1:]))
+
+
+def walk_variance(
+    edges_s: Array, name: str, openings: Sequence[Opening], unread_d: Array | float = 0.0
+) -> tuple[Array, Array]:
+    """Return variance and mean of a deviation's increments between the cells of a time grid (k - 1,).
+
+    Parameters
+    ----------
+    edges_s
+        (k + 1,) s.
+    name
+        Of the deviation.
+    openings
+        Times at which it may jump.
+    unread_d
+        Days of each increment of which nothing is known (k - 1,): a compound Poisson process of undeclared jumps adds
+        its variance there.
+    """
+    middle = 0.5 * (edges_s[:-1] + edges_s[1:])
+    days = np.diff(middle) / DAY_S
+    variance = WALK[name] ** 2 * days + RATE_D.get(name, 0.0) * JUMP[name] ** 2 * unread_d + _LEAST_VARIANCE
+    for opening in openings:
+        if opening.parameter != name:
+            continue
+        inside = (edges_s[1:-1] >= opening.start_s - 0.5 * DAY_S) & (edges_s[1:-1] <= opening.end_s + 0.5 * DAY_S)
+        exact = (edges_s[1:-1] >= opening.start_s) & (edges_s[1:-1] <= opening.end_s)
+        if exact.any() and opening.end_s - opening.start_s < 0.5 * DAY_S:
+            inside = exact  # the grid has an edge at a jump of known time
+        if inside.any():
+            variance[inside] += JUMP[name] ** 2 / inside.sum()
+    return variance, TREND[name] * days
+
+
+def walk_precision(
+    edges_s: Array, name: str, openings: Sequence[Opening], unread_d: Array | float = 0.0
+) -> tuple[Array, Array]:
+    """Return the precision (k - 1, k - 1) of a deviation's increments between the cells of a time grid, and their mean.
+
+    An unknown rate is marginalised: it adds a variance that is common to all increments (Sherman & Morrison, Ann. Math.
+    Stat. 21 (1950) 124).
+    """
+    variance, drift = walk_variance(edges_s, name, openings, unread_d)
+    variance = variance + _LEAST_VARIANCE
+    precision = np.diag(1.0 / variance)
+    if name in RATE_SD:
+        days = np.diff(0.5 * (edges_s[:-1] + edges_s[1:])) / DAY_S
+        seen = days / variance
+        precision -= np.outer(seen, seen) / (1.0 / RATE_SD[name] ** 2 + float(days @ seen))
+    return precision, drift

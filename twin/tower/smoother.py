@@ -1,12 +1,10 @@
 """Maximum a posteriori estimate of slow deviations over a whole record: Gauss-Newton on a grid of time.
 
-The deviations are constant within a cell of the grid and walk at random from one to the next, a fill about a rate that
-is unknown and lasts; a documented event opens a jump at its date. Where nothing was read for days, a jump that nobody
-announced is not detectable, so the walk takes its variance there.
-The prior of a deviation is that of a part that wears: its mean a third of the bound on the lossy side, its standard
-deviation a third of the bound, so that the bound is two standard deviations below and a gain of a third of it two
-above. A thermometer's bias has mean 0. Residuals of the model are correlated in time, so a block of them counts as less
-than one observation, by their integrated autocorrelation time (Geyer 1992).
+The deviations are constant within a cell of the grid and walk at random from one to the next (`estimates`). The prior
+of a deviation is that of a part that wears: its mean a third of the bound on the lossy side, its standard deviation a
+third of the bound, so that the bound is two standard deviations below and a gain of a third of it two above. A
+thermometer's bias has mean 0. Residuals of the model are correlated in time, so a block of them counts as less than one
+observation, by their integrated autocorrelation time (Geyer 1992).
 
 Scale and autocorrelation time are estimated in the first passes and kept in the others. A step is halved until it
 lowers the objective of its pass, so that the estimate is a mode.
@@ -21,35 +19,24 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.lapack import dpotri
 
 from twin.tower.air import Array
 from twin.tower.cell_observations import Label, PowerErrors, PowerRows, interval_as_gaussian
-from twin.tower.estimates import DAY_S, Blocks, Estimate, Opening, Priors, time_grid
+from twin.tower.estimates import (
+    DAY_S,
+    Blocks,
+    Estimate,
+    Opening,
+    Priors,
+    time_grid,
+    unread_days,
+    walk_precision,
+    walk_variance,
+)
 from twin.tower.model import GLOBALS, NAMES, SLOW, CellModel
 
-WALK = {"fill": 0.002, "air": 0.0015, "uniformity": 0.002, "bias": 0.01, "flow_meter": 0.0005}
-"""Standard deviation of a day's change. Fills lose 0.2 to 0.6 % a week, so a month is known to some 1 %; thermometers
-drift by some 0.05 K a month, flow meters by some 0.3 %."""
-TREND = {"fill": -0.0006, "air": -0.0001, "uniformity": -0.0003, "bias": 0.0, "flow_meter": 0.0}
-"""Mean change of a day."""
-CLEANED_D = 120.0
-"""Days between two cleanings of a cell: some three a year."""
-RATE_SD = {"fill": 0.25 / (2.0 * CLEANED_D)}
-"""Standard deviation of the mean change of a day, a constant of the record: water that scales fast takes the fill's
-bound of 25 % between two cleanings, as two of them. A walk alone has no lasting rate, so it would follow such a fill
-late, and give the rest to the other deviations."""
-JUMP = {"fill": 0.08, "air": 0.06, "uniformity": 0.05, "bias": 0.4, "flow_meter": 0.0}
-"""Standard deviation of a jump that an event opens: a cleaning gives back what was lost, a new thermometer is another
-one."""
-RATE_D = {"fill": 1.0 / 1200.0, "air": 1.0 / 1200.0, "uniformity": 1.0 / 1200.0, "bias": 1.0 / 120.0}
-"""Undeclared changes a day. One thermometer in a plant steps or is exchanged some three times a year; a cell is cleaned
-two or three times, and one entry in eight is missing."""
-UNREAD_S = 5.0 * DAY_S
-"""Days without a reading from which a jump in them is not detectable: the least time between two that a search tells
-apart (`change_detection`)."""
 PASSES = 20
 RESCALED = 5
 """Passes in which scale and autocorrelation time of the residuals are taken anew."""
@@ -57,6 +44,8 @@ HALVINGS = 8
 """Most halvings of a step that does not lower the objective."""
 FLAT = 0.02
 """Largest change of a step below which the sensitivities of the step before are used again."""
+CONVERGED = 2e-4
+"""Largest change of an unknown, in its unit of `_Solver.unit`, at which the passes end."""
 BLOCK_S = 600.0
 CORRELATION = (3.0, 144.0)
 """Least and most autocorrelation time, blocks: half an hour, over which weather within an hour is correlated, and a
@@ -102,75 +91,12 @@ def estimate(
     return solver.run(start)
 
 
-def unread_days(edges_s: Array, read: NDArray[np.bool_]) -> Array:
-    """Return the days of each increment of a time grid that lie in spans of `UNREAD_S` without a reading (k - 1,).
-
-    Parameters
-    ----------
-    edges_s
-        (k + 1,) s.
-    read
-        Cells of the grid with a reading (k,).
-    """
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], ~read, [False]]).astype(np.int8)))
-    days = np.zeros(len(read))
-    for first, last in zip(ends[::2], ends[1::2], strict=True):
-        if edges_s[last] - edges_s[first] >= UNREAD_S:
-            days[first:last] = np.diff(edges_s[first : last + 1]) / DAY_S
-    return np.asarray(0.5 * (days[:-1] + days[1:]))
-
-
-def walk_variance(
-    edges_s: Array, name: str, openings: Sequence[Opening], unread_d: Array | float = 0.0
-) -> tuple[Array, Array]:
-    """Return variance and mean of a deviation's increments between the cells of a time grid (k - 1,).
-
-    Parameters
-    ----------
-    edges_s
-        (k + 1,) s.
-    name
-        Of the deviation.
-    openings
-        Times at which it may jump.
-    unread_d
-        Days of each increment of which nothing is known (k - 1,): a compound Poisson process of undeclared jumps adds
-        its variance there.
-    """
-    middle = 0.5 * (edges_s[:-1] + edges_s[1:])
-    days = np.diff(middle) / DAY_S
-    variance = WALK[name] ** 2 * days + RATE_D.get(name, 0.0) * JUMP[name] ** 2 * unread_d + 1e-14
-    for opening in openings:
-        if opening.parameter != name:
-            continue
-        inside = (edges_s[1:-1] >= opening.start_s - 0.5 * DAY_S) & (edges_s[1:-1] <= opening.end_s + 0.5 * DAY_S)
-        exact = (edges_s[1:-1] >= opening.start_s) & (edges_s[1:-1] <= opening.end_s)
-        if exact.any() and opening.end_s - opening.start_s < 0.5 * DAY_S:
-            inside = exact  # the grid has an edge at a jump of known time
-        if inside.any():
-            variance[inside] += JUMP[name] ** 2 / inside.sum()
-    return variance, TREND[name] * days
-
-
-def walk_precision(
-    edges_s: Array, name: str, openings: Sequence[Opening], unread_d: Array | float = 0.0
-) -> tuple[Array, Array]:
-    """Return the precision (k - 1, k - 1) of a deviation's increments between the cells of a time grid, and their mean.
-
-    An unknown rate is marginalised: it adds a variance that is common to all increments (Sherman & Morrison, Ann. Math.
-    Stat. 21 (1950) 124).
-    """
-    variance, drift = walk_variance(edges_s, name, openings, unread_d)
-    variance = variance + 1e-14
-    precision = np.diag(1.0 / variance)
-    if name in RATE_SD:
-        days = np.diff(0.5 * (edges_s[:-1] + edges_s[1:])) / DAY_S
-        seen = days / variance
-        precision -= np.outer(seen, seen) / (1.0 / RATE_SD[name] ** 2 + float(days @ seen))
-    return precision, drift
-
-
 class _Solver:
+    """Normal equations of [slow deviations by grid cell (k * s,), constants (g,)] of a record, and their solution.
+
+    Names that end in `_t` are of the outlet's temperature, those in `_p` of the fan's power.
+    """
+
     def __init__(
         self,
         model: CellModel,
@@ -257,6 +183,7 @@ class _Solver:
         return np.asarray(moved @ self.spread)
 
     def run(self, start: Estimate | None) -> Estimate:
+        """Return the posterior by Gauss-Newton passes, from an estimate or from the prior's mean."""
         if start is None:
             x = cho_solve(cho_factor(self.precision), self.prior_mean)
         else:
@@ -265,46 +192,40 @@ class _Solver:
         variance: Array = np.zeros(0)
         jac_t, change = np.zeros((0, 0)), np.inf
         res_t, rows_p, res_p = self._residuals(x)
-        left = res_p
+        left_p = res_p
         for number in range(PASSES):
-            slow, g = x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
-            here = slow[self.cell]
             if change > FLAT:
-                jac_t = self._outlet(here, g)
+                jac_t = self._outlet(*self._at_blocks(x))
             if number < RESCALED:
                 # Later the scale stays: an objective that changes with each step has no minimum to converge to.
-                self._rescale(res_t, left)
-            w_t = _weights(res_t, self.sigma[0]) / (self.sigma[0] ** 2 * self.tau)
-            w_p = _weights(left, self.sigma[1]) / (self.sigma[1] ** 2 * self.tau_power)
+                self._rescale(res_t, left_p)
+            w_t = self._outlet_weights(res_t)
+            w_p = _weights(left_p, self.sigma[1]) / (self.sigma[1] ** 2 * self.tau_power)
             rows_p = replace(rows_p, weights=w_p)
             normal, right = self.precision.copy(), self.prior_mean.copy()
             self._add_labels(normal, right, x, variance)
             known = normal.copy(), right.copy()
-            full = np.concatenate([here, np.broadcast_to(g, (len(here), self.g))], axis=1)
-            self._add(normal, right, jac_t, w_t, np.nan_to_num(res_t) + np.einsum("ij,ij->i", jac_t, full))
-            self._add_power(normal, right, rows_p, res_p, here, g)
+            self._add_outlet(normal, right, x, jac_t, w_t, res_t)
+            self._add_power(normal, right, x, rows_p, res_p)
             factor = cho_factor(normal)
             new = self._bounded(cho_solve(factor, right))
-            moved = x - new
-            linear = (
-                res_t
-                + np.einsum("ij,ij->i", jac_t[:, : self.s], moved[: self.k * self.s].reshape(self.k, self.s)[self.cell])
-                + jac_t[:, self.s :] @ moved[self.k * self.s :]
-            )
+            linear = self._linear_residual(res_t, jac_t, x - new)
             before = x
-            x, res_t, rows_p, res_p, left = self._descended(x, new, known, w_t, w_p, (res_t, rows_p, res_p))
+            x, res_t, rows_p, res_p, left_p = self._descended(x, new, known, w_t, w_p, (res_t, rows_p, res_p))
             change = float((np.abs(x - before) / self.unit).max())
-            last = number == PASSES - 1 or (number >= (RESCALED if start is None else 2) and change < 2e-4)
-            if last:
+            if number == PASSES - 1 or (number >= (RESCALED if start is None else 2) and change < CONVERGED):
                 break
             variance = self._label_variance(factor, self._considered(factor, normal))
-        considered = self._considered(factor, normal)
-        covariance = _inverse(factor[0])
-        slow, g = x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
+        return self._posterior(x, factor, normal, (jac_t, linear, w_t))
+
+    def _posterior(
+        self, x: Array, factor: tuple[Array, bool], normal: Array, of_outlet: tuple[Array, Array, Array]
+    ) -> Estimate:
+        """Return the estimate at the last point, with the slopes, linear residual and weights of its last pass."""
+        jac_t, linear, w_t = of_outlet
+        considered, covariance = self._considered(factor, normal), _inverse(factor[0])
+        slow, g = self._parts(x)
         residual = self.blocks.outlet - self.model.reading(self.blocks.operation, slow[self.cell], g)
-        weights = np.where(
-            np.isfinite(residual), _weights(residual, self.sigma[0]) / (self.sigma[0] ** 2 * self.tau), 0.0
-        )
         return Estimate(
             self.edges,
             slow,
@@ -312,7 +233,7 @@ class _Solver:
             covariance,
             (self.sigma[0], self.sigma[1]),
             residual,
-            weights,
+            np.where(np.isfinite(residual), self._outlet_weights(residual), 0.0),
             self.cell,
             jac_t,
             self.tau,
@@ -322,6 +243,24 @@ class _Solver:
             tuple((one, *self._sites[i]) for i, one in enumerate(self.labels)),
         )
 
+    def _parts(self, x: Array) -> tuple[Array, Array]:
+        """Return the slow deviations (k, s) and the constants (g,) of x."""
+        return x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
+
+    def _at_blocks(self, x: Array) -> tuple[Array, Array]:
+        """Return the slow deviations (n, s) at each block, and the constants (g,)."""
+        slow, g = self._parts(x)
+        return slow[self.cell], g
+
+    def _outlet_weights(self, residual: Array) -> Array:
+        """Return the weights (n,), 1/K^2, of the outlet's readings."""
+        return _weights(residual, self.sigma[0]) / (self.sigma[0] ** 2 * self.tau)
+
+    def _linear_residual(self, residual: Array, jac: Array, moved: Array) -> Array:
+        """Return the outlet's residuals (n,) after a move of all unknowns by less `moved`, to first order."""
+        slow, g = self._at_blocks(moved)
+        return np.asarray(residual + np.einsum("ij,ij->i", jac[:, : self.s], slow) + jac[:, self.s :] @ g)
+
     def _outlet(self, here: Array, g: Array) -> Array:
         """Return the slopes of the outlet's reading."""
         base = self.model.reading(self.blocks.operation, here, g)
@@ -329,16 +268,16 @@ class _Solver:
 
     def _residuals(self, x: Array) -> tuple[Array, PowerRows, Array]:
         """Return the residuals of the outlet, slopes of the power without their weights, and its residuals."""
-        slow, g = x[: self.k * self.s].reshape(self.k, self.s), x[self.k * self.s :]
-        here, o = slow[self.cell], self.blocks.operation
+        (here, g), o = self._at_blocks(x), self.blocks.operation
         base = self.model.log_power(o, here, g)
         kappa, air = g[NAMES.index("kappa")], here[:, 1]
         shaft = 1.0 - self.model.design.idle / np.exp(base)
         rows = PowerRows(-kappa / (1.0 + air) * shaft, shaft, np.zeros(len(base)))
         return self.blocks.outlet - self.model.reading(o, here, g), rows, self.blocks.log_power - base
 
-    def _add_power(self, normal: Array, right: Array, rows: PowerRows, residual: Array, here: Array, g: Array) -> None:
-        """Add the equations of the fan's power to the normal equations."""
+    def _add_power(self, normal: Array, right: Array, x: Array, rows: PowerRows, residual: Array) -> None:
+        """Add the equations of the fan's power, linearised at x, to the normal equations."""
+        here, g = self._at_blocks(x)
         end = self.k * self.s
         gain = NAMES.index("power_gain")
         target = np.nan_to_num(residual) + rows.air * here[:, 1] + rows.shaft * g[gain]
@@ -410,9 +349,12 @@ class _Solver:
             else:
                 self.tau_power = tau
 
-    def _add(self, normal: Array, right: Array, jac: Array, w: Array, target: Array) -> None:
-        """Add weighted rows to the normal equations, grid cell by grid cell."""
+    def _add_outlet(self, normal: Array, right: Array, x: Array, jac: Array, w: Array, residual: Array) -> None:
+        """Add the outlet's readings, linearised at x with weights w (n,), grid cell by grid cell."""
         s, end = self.s, self.k * self.s
+        here, g = self._at_blocks(x)
+        full = np.concatenate([here, np.broadcast_to(g, (len(here), self.g))], axis=1)
+        target = np.nan_to_num(residual) + np.einsum("ij,ij->i", jac, full)
         weighted = jac * w[:, None]
         order = np.argsort(self.cell, kind="stable")
         starts = np.searchsorted(self.cell[order], np.arange(self.k + 1))
@@ -422,12 +364,12 @@ class _Solver:
                 continue
             h = weighted[rows].T @ jac[rows]
             b = weighted[rows].T @ target[rows]
-            here = slice(k * s, (k + 1) * s)
-            normal[here, here] += h[:s, :s]
-            normal[here, end:] += h[:s, s:]
-            normal[end:, here] += h[s:, :s]
+            own = slice(k * s, (k + 1) * s)
+            normal[own, own] += h[:s, :s]
+            normal[own, end:] += h[:s, s:]
+            normal[end:, own] += h[s:, :s]
             normal[end:, end:] += h[s:, s:]
-            right[here] += b[:s]
+            right[own] += b[:s]
             right[end:] += b[s:]
 
     def _label_row(self, label: Label) -> int:
@@ -467,7 +409,7 @@ class _Solver:
 
     def _bounded(self, x: Array) -> Array:
         """Keep a step within what the model can be evaluated at."""
-        slow = x[: self.k * self.s].reshape(self.k, self.s)
+        slow, _ = self._parts(x)
         slow[:, :3] = np.clip(slow[:, :3], -0.6, 0.5)
         return x
 

@@ -19,9 +19,21 @@ from twin.tower.change_detection import changes
 from twin.tower.change_detection.changes import _window, undeclared_changes
 from twin.tower.clean_cell.commissioning import fit_clean_cell
 from twin.tower.clean_cell.discrepancy import AMPLITUDE_K, prior_sd
-from twin.tower.estimates import DAY_S, Opening, Priors, moved_grid, time_grid
+from twin.tower.estimates import (
+    DAY_S,
+    JUMP,
+    RATE_D,
+    RATE_SD,
+    WALK,
+    Opening,
+    Priors,
+    moved_grid,
+    time_grid,
+    unread_days,
+    walk_precision,
+    walk_variance,
+)
 from twin.tower.model import CALM, NAMES, CellModel, Operation
-from twin.tower.smoother import JUMP, RATE_D, RATE_SD, WALK, unread_days, walk_precision, walk_variance
 from twin.tower.twin_file import BOUNDS
 
 

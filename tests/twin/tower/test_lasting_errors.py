@@ -7,9 +7,8 @@ import pytest
 
 from twin.tower.calibration import label_conflicts, with_lasting_errors
 from twin.tower.cell_observations import Label
-from twin.tower.estimates import DAY_S, Estimate
+from twin.tower.estimates import DAY_S, WALK, Estimate
 from twin.tower.model import SLOW
-from twin.tower.smoother import WALK
 
 BIAS, SD, LABEL_SD = SLOW.index("bias"), 0.03, 0.05
 

@@ -11,9 +11,9 @@ from tests.twin.tower.made_cell import M_W0
 from twin.tower.air import Array
 from twin.tower.calibration.outlet_interval import half_width
 from twin.tower.cell import Inputs
+from twin.tower.estimates import Estimate
 from twin.tower.minutes import Minutes
 from twin.tower.model import NAMES, SLOW, Operation
-from twin.tower.smoother import Estimate
 
 DAYS = 20
 N = DAYS * 1440

@@ -19,8 +19,8 @@ from twin.tower.calibration.outlet_interval import WINDOW_S
 from twin.tower.cell import STARVING, solve_cell
 from twin.tower.cell_observations import Label
 from twin.tower.estimates import DAY_S, Blocks, Estimate, Opening, Priors
+from twin.tower.estimates import WALK as DAILY
 from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel
-from twin.tower.smoother import WALK as DAILY
 from twin.tower.smoother import estimate
 
 TRAIN, GAP_S = 9.0 / 14.0, DAY_S

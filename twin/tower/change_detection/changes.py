@@ -26,9 +26,20 @@ from numpy.typing import NDArray
 
 from twin.tower.air import Array
 from twin.tower.cell_observations import Label
-from twin.tower.estimates import DAY_S, Blocks, Estimate, Opening, Priors, moved_grid
+from twin.tower.estimates import (
+    DAY_S,
+    JUMP,
+    RATE_D,
+    Blocks,
+    Estimate,
+    Opening,
+    Priors,
+    moved_grid,
+    unread_days,
+    walk_precision,
+)
 from twin.tower.model import SLOW, CellModel
-from twin.tower.smoother import JUMP, RATE_D, estimate, unread_days, walk_precision
+from twin.tower.smoother import estimate
 
 TOGETHER = {"fill": ("fill", "uniformity"), "uniformity": ("uniformity", "fill")}
 """Deviations that a jump opens beside its own: who washes a fill cleans its nozzles, with an entry or without."""

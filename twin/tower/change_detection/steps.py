@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.tower.air import Array
-from twin.tower.smoother import RATE_D
+from twin.tower.estimates import RATE_D
 
 SMALLEST_K = 0.5
 """Step that is to be found."""

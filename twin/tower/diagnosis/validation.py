@@ -20,10 +20,10 @@ from scipy.sparse import csr_matrix
 
 from twin.tower.air import Array
 from twin.tower.calibration import Fitted
-from twin.tower.estimates import Estimate
+from twin.tower.estimates import JUMP, Estimate
 from twin.tower.minutes import blocks_of
 from twin.tower.model import SLOW
-from twin.tower.smoother import HUBER, JUMP
+from twin.tower.smoother import HUBER
 
 WEEK_S = 7 * 86400.0
 TimeSpans = tuple[tuple[float, float], ...]
