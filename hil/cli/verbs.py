@@ -16,35 +16,47 @@ from hil import __version__
 # and a diagnosis took five times as long. A value set by the user is kept.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-VERBS = {
-    "alarms": "List, acknowledge, shelve alarms of a run; send messages",
-    "bench": "Measure speed and fits, repeat the paper's experiments",
-    "check": "Check a rig file, twin, profile, test plan or record",
-    "commission": "Fit a twin to a healthy record",
-    "compare": "Compare runs on profile time: table, overlaid plots, drift",
-    "ctl": "Hold, pause, resume, abort or query a live run",
-    "diagnose": "Trace the error of a twin to the effect that it lacks",
-    "explain": "Run the experiments that settle an ambiguous diagnosis",
-    "export": "Write a run as CSV, Parquet, MF4, HDF5, TDMS; a twin as FMU",
-    "fleet": "Diagnose, track, train or bench over many rigs, on workers",
-    "init": "Write a rig file from options, a register table, Telegraf, DBC ...",
-    "ls": "List runs: verdict, end, rig, duration, tags",
-    "note": "Add a note or labels to a run, also while it goes on",
-    "profile": "Build and draw load profiles",
-    "report": "Make the record, review and report of a run, if missing",
-    "resume": "Continue a run that a crash or a fault interrupted",
-    "review": "Show a run in Rerun: measured against twin",
-    "rig": "Serve the virtual rig over Modbus and CAN",
-    "run": "Replay a load profile on a rig while twins track it",
-    "serve": "Serve a panel of runs to browsers",
-    "start": "Lead from a register table to a first diagnosis",
-    "stream": "Send a run to MQTT or PostgreSQL, or serve it by OPC UA",
-    "test": "Judge a run by a test plan: verdicts, JUnit XML",
-    "tower": "Cooling towers: historian, aligned record, calibration",
-    "track": "Replay the calibrators on a record",
-    "train": "Train the network calibrator",
-    "twin": "Revisions of a twin: log, diff, revert",
+SECTIONS = {
+    "Begin": {
+        "start": "Lead from a register table to a first diagnosis",
+        "init": "Write a rig file from options, or from a register table",
+        "check": "Check a rig file, twin, profile, test plan or record",
+        "rig": "Serve the virtual rig, or the devices of a rig file",
+    },
+    "Run a rig": {
+        "profile": "Build and draw load profiles",
+        "run": "Replay a load profile on a rig while twins track it",
+        "ctl": "Hold, pause, resume, abort or query a live run",
+        "resume": "Continue a run that a crash or a fault interrupted",
+        "alarms": "List, acknowledge, shelve alarms of a run; send messages",
+        "serve": "Serve a panel of runs to browsers",
+        "note": "Add a note or labels to a run, also while it goes on",
+    },
+    "Fit a twin and explain its error": {
+        "commission": "Fit a twin to a healthy record",
+        "track": "Replay the calibrators on a record",
+        "diagnose": "Trace the error of a twin to the effect that it lacks",
+        "explain": "Run the experiments that settle an ambiguous diagnosis",
+        "twin": "Revisions of a twin: log, diff, revert",
+        "fleet": "Diagnose, track, train or bench over many rigs, on workers",
+        "tower": "Cooling towers: historian, aligned record, calibration",
+    },
+    "Show, judge and export": {
+        "ls": "List runs: verdict, end, rig, duration, tags",
+        "review": "Show a run in Rerun: measured against twin",
+        "report": "Make the record, review and report of a run, if missing",
+        "test": "Judge a run by a test plan: verdicts, JUnit XML",
+        "compare": "Compare runs on profile time: table, overlaid plots, drift",
+        "export": "Write a run as CSV, Parquet, MF4, HDF5, TDMS; a twin as FMU",
+        "stream": "Send a run to MQTT or PostgreSQL, or serve it by OPC UA",
+    },
+    "Train and measure": {
+        "train": "Train the network calibrator",
+        "bench": "Measure speed and fits, repeat the paper's experiments",
+    },
 }
+"""Heading of the help -> verbs in the order of use, each with its purpose."""
+VERBS = {verb: purpose for verbs in SECTIONS.values() for verb, purpose in verbs.items()}
 PACKAGES = {
     "hil.bench.commands": ("bench",),
     "hil.cli.operator_commands": ("alarms", "serve"),
@@ -85,8 +97,10 @@ class _Verbs(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl(list(VERBS.items()))
+        width = max(map(len, VERBS))
+        for heading, verbs in SECTIONS.items():
+            with formatter.section(heading):
+                formatter.write_dl([(verb.ljust(width), purpose) for verb, purpose in verbs.items()])
 
     def invoke(self, ctx: click.Context) -> Any:
         from hil.cli.options import explained_extras
@@ -109,7 +123,8 @@ def group() -> None:
     """Rig harness whose digital twin explains itself.
 
     \b
-    Example, without any hardware:
+    Example, without any hardware; the first one leads through all steps:
+      hil start --virtual --yes
       hil run profiles/loads/battle_10h.csv --virtual --lockstep
       hil review runs/<the folder that it names>
     """
