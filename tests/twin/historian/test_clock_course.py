@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.twin.historian.made_station import clean_store
-from twin.historian.defects.clock_course import moved_clocks
+from twin.historian.defects.clocks import moved_clocks
 from twin.historian.tags import Array, Series
 
 DAYS = 12.0

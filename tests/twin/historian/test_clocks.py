@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from twin.historian.defects.clock_changes import ByChange, local_by_change
-from twin.historian.defects.clocks import Shift, corrected, shifted_clocks
+from twin.historian.defects.clocks import ByChange, Shift, corrected, local_by_change, shifted_clocks
 from twin.historian.defects.silence import Group
 from twin.historian.tags import Array, Series, Tag
 

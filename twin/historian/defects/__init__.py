@@ -7,9 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.historian.defects.clock_changes import local_by_change
-from twin.historian.defects.clock_course import moved_clocks
-from twin.historian.defects.clocks import Shift, changed_clocks, corrected, repeated_hours, shifted_clocks
+from twin.historian.defects.clocks import (
+    Shift,
+    changed_clocks,
+    corrected,
+    local_by_change,
+    moved_clocks,
+    repeated_hours,
+    shifted_clocks,
+)
 from twin.historian.defects.humidity import latched, named_impossible, wet_bulb_defects
 from twin.historian.defects.quality import bad_quality
 from twin.historian.defects.range_changes import range_changes

@@ -20,7 +20,7 @@ from twin.historian.tags import Array, Series, longest_interval_s
 STEP_S = 300.0
 """Step of the lags: the scan of most tags."""
 CHANGE_STEPS = 6
-"""Half an hour, over which a change counts, as in `clocks`."""
+"""Half an hour, over which a change counts, as in `correlations`."""
 WEEK_S, LEAST_S = 7.0 * 86400.0, 4.0 * 86400.0
 """Length of a part, and of the shortest one: changes of a few days leave chance lags."""
 MOST_PARTS = 8
@@ -29,7 +29,7 @@ FARTHEST = 24
 LEAST_CHANGES = 200
 """Steps of a part in which a tag must change."""
 TOGETHER = 0.4
-"""Least correlation at the best lag: eight times the spread between chance lags of a week (`clocks`)."""
+"""Least correlation at the best lag: eight times the spread between chance lags of a week (`correlations`)."""
 PARTNERS = 3
 """Witnesses by which a change of lag is confirmed."""
 JUDGED = (
