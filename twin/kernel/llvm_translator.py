@@ -167,6 +167,7 @@ class _Function:
             self._statement(statement)
 
     def _statement(self, node: ast.stmt) -> None:
+        """Write one statement."""
         if isinstance(node, ast.Expr):
             if not isinstance(node.value, ast.Constant):
                 self._expression(node.value)
@@ -199,6 +200,7 @@ class _Function:
         self._begin(end)
 
     def _for(self, node: ast.For) -> None:
+        """Write a loop over a range."""
         call = node.iter
         if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "range"):
             raise untranslatable(node)
@@ -229,6 +231,7 @@ class _Function:
         advance: Callable[[], None],
         counted: tuple[str, str] | None = None,
     ) -> None:
+        """Write a loop: its variable, its test, its body and its step."""
         head, inside, end = self._label(), self._label(), self._label()
         self._jump(f"br label %{head}")
         self._begin(head)
@@ -318,6 +321,7 @@ class _Function:
         return self._new(f"load i1, ptr {place}")
 
     def _expression(self, node: ast.expr) -> _Value:
+        """Write an expression and return its value."""
         if isinstance(node, ast.Constant) and isinstance(node.value, bool | int | float):
             return _number(node.value)
         if isinstance(node, ast.Name):
@@ -441,6 +445,7 @@ class _Function:
         return _Value(address, Kind(False, len(sizes)), (*sizes, *["1"] * (AXES - len(sizes))))
 
     def _call(self, node: ast.Call) -> _Value:
+        """Write a call of the module, of LLVM or of `MATH`, and return its value."""
         if (shape := allocation(node)) is not None:
             return self._allocate(node, shape)
         values = [self._expression(argument) for argument in node.args]

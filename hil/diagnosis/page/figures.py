@@ -64,6 +64,7 @@ def pictures(findings: Findings) -> dict[str, str]:
 
 
 def _residuals(findings: Findings) -> Figure | None:
+    """Draw measured minus twin over time, per sensor, before and after the effects."""
     curves, label = findings.curves, after_label(findings.document)
     sensors = list(curves.residual)
     unit, along = axis_of(findings)
@@ -99,6 +100,7 @@ def _points(findings: Findings) -> dict[str, Any]:
 
 
 def _unknowns(findings: Findings) -> Figure | None:
+    """Draw the unknown quantity at each place that alone would explain the record."""
     unknowns = findings.curves.unknowns
     if not unknowns:
         return None
@@ -131,6 +133,7 @@ def _legend_unknown(findings: Findings) -> list[Any]:
 
 
 def _unknown(axes: Axes, findings: Findings, unknown: Unknown, hours: np.ndarray, best: bool) -> None:
+    """Draw the course of one unknown quantity with its band of two standard deviations."""
     marks(axes, findings)
     colour = BLUE if best else GREY
     low, high = unknown.mean - 2.0 * unknown.sd, unknown.mean + 2.0 * unknown.sd
@@ -193,6 +196,7 @@ def _blocks(findings: Findings) -> Figure | None:
 
 
 def _ladder(findings: Findings) -> Figure | None:
+    """Draw the remaining misfit with each added effect, and the score of the best next one."""
     rungs = findings.document["ladder"]
     if not rungs:
         return None
@@ -240,6 +244,7 @@ def _bars(axes: Axes, places: np.ndarray, values: list[float | None], colours: l
 
 
 def _others(findings: Findings) -> Figure | None:
+    """Draw the confidence of the answer and of its alternatives, with the reasons for rejection."""
     document = findings.document
     rows: list[tuple[str, float, str, str]] = []
     for e in document["effects"]:
@@ -280,6 +285,7 @@ def _others(findings: Findings) -> Figure | None:
 
 
 def _errors(findings: Findings) -> Figure | None:
+    """Draw the held-out errors of each sensor: baseline twin, re-tuned, with the effects, and noise."""
     sensors = findings.document["error"]["sensors"]
     if not sensors:
         return None
@@ -326,6 +332,7 @@ def _number(value: float | None) -> float:
 
 
 def _tunables(findings: Findings) -> Figure | None:
+    """Draw the changes of the tunables, in standard deviations of commissioning."""
     moved = [m for m in findings.document["tunables_moved"] if m["before_sd"] is not None and m["after_sd"] is not None]
     if not moved:
         return None

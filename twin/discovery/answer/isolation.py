@@ -116,6 +116,7 @@ def nearest_effects(finding: Finding) -> tuple[Alternative, ...]:
 
 
 def _effect(entry: Entry, finding: Finding, sure: float, grid: Grid) -> Effect:
+    """Return an entry as a reported effect; `sure` is its confidence. Its size and interval are at the record's end."""
     c, start = entry.candidate, float(grid.time[0])
     spread = NORMAL90 * entry.sd * math.sqrt(max(finding.fit.chi, 1.0)) if finding.fit else 0.0
     early_s, late_s = _onsets(entry, finding)

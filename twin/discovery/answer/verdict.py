@@ -137,6 +137,7 @@ def conclude(case: AssessedFinding, notes: tuple[str, ...]) -> Diagnosis:
 
 
 def _fine(case: AssessedFinding) -> Answer:
+    """Return the answer of a twin that is adequate, with a note if something misfits that is no effect."""
     if case.beyond:
         return Answer("adequate", notes=(_BEYOND,))
     if case.finding.unlisted >= case.finding.claim and not case.usual and of_form(case):
@@ -146,6 +147,10 @@ def _fine(case: AssessedFinding) -> Answer:
 
 
 def _unknown(case: AssessedFinding) -> Answer:
+    """Return the answer of a record that no listed law explains: likeliest place and course, a curve, leads.
+
+    Nothing is said of a place if no odds reach those of a claim, or if the weights of the search are unreliable.
+    """
     free, whole, finding = case.free, case.whole, case.finding
     if finding.fit is None and max(finding.odds, finding.unlisted) < finding.claim:
         return Answer("unexplained", alternatives=nearest_effects(finding), notes=(_TOO_LITTLE,))
@@ -214,10 +219,12 @@ def _odds_as_one(ranked: Ranked) -> float:
 
 
 def _offered(case: AssessedFinding) -> Empirical | TooMuchHeat | None:
+    """Return the curve of one variable at one place that replaces an unknown quantity; None if there is none."""
     return offer(case.finding, case.known, case.grid, case.split, case.free, case.errors)
 
 
 def _named(case: AssessedFinding) -> Answer:
+    """Return the answer with named effects, their ambiguity group, and the twin that has them."""
     finding, grid, network = case.finding, case.grid, case.known.probe.network
     assert finding.fit is not None
     verdict, effects = isolated_effects(finding, grid)
@@ -258,10 +265,12 @@ def _with_thermometers(answer: Answer, case: AssessedFinding) -> Answer:
 
 
 def _stale(known: Basis, grid: Grid) -> FreeRun:
+    """Return the free run of the commissioned twin."""
     return known.probe.run(grid, known.probe.first_state(grid))
 
 
 def _run(finding: Finding, fitted: Fit, network: Network, grid: Grid) -> Array:
+    """Return the readings (n, m), degC, of a free run with a fit, at the mean times of the samples of bins."""
     model = Model.of(finding.score_test.probe, fitted.entries)
     sizes = np.array([[e.size for e in fitted.entries]])
     state = model.begun(grid.time, grid.inputs, grid.measured, fitted.state, fitted.values, grid.begins)
@@ -290,6 +299,7 @@ def _bigger(finding: Finding, network: Network, grid: Grid) -> Network:
 
 
 def _moved(finding: Finding, known: Basis) -> tuple[Moved, ...]:
+    """Return each tunable as commissioned, re-tuned and with the effects, and its changes in standard deviations."""
     scaling, q = known.probe.scaling, known.probe.q
     sd = np.sqrt(np.diag(np.linalg.inv(known.prior.precision))[:q])
     network = known.probe.network

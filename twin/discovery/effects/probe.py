@@ -128,6 +128,7 @@ class Probe:
         return self._kept(what, grid, lambda: self._sensitivities(grid, state, values))
 
     def _sensitivities(self, grid: Grid, state: Array, values: Array | None) -> Array:
+        """Return the derivatives of `sensitivities`: lane differences by `_STEP` in z and `_STATE_STEP`, K."""
         centre = self.values(values)
         count = 1 + self.q + self.k
         rows, states = np.tile(centre, (count, 1)), np.tile(state, (count, 1)).reshape(count, -1, self.k)
@@ -156,6 +157,10 @@ class Probe:
         return self._kept(what, grid, lambda: self._blocks(grid, state, edges, values))
 
     def _blocks(self, grid: Grid, state: Array, edges: np.ndarray, values: Array | None) -> Array:
+        """Return the responses of `blocks`, from one pass over the record.
+
+        Each block simulates its own heat; heat of earlier blocks goes on as a few basis states (`_RemainingHeat`).
+        """
         count = len(edges) - 1
         found = np.zeros((count, self.m, count, self.k))
         inputs = self._inputs(grid, np.full((len(grid.time), self.k), _PROBE_W))
@@ -254,6 +259,10 @@ def posterior(
 
 
 def _with_probes(network: Network, columns: tuple[str, ...]) -> tuple[Network, tuple[str, ...], list[int]]:
+    """Return a network with a heat input and a reading in every node, the ids of the inputs' gains, and the readings.
+
+    `columns` (k,) name the inputs. The gains are 0, so that the network is as before; the readings are (k,) indices.
+    """
     elements, parameters, inputs = list(network.elements), dict(network.parameters), dict(network.inputs)
     gains = []
     for node, column in zip(network.nodes, columns, strict=True):

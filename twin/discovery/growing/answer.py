@@ -184,6 +184,7 @@ class _GrownDiagnosis:
         return problem.residual(problem.start(fit) if fit else problem.start())
 
     def _effect(self, a: Added) -> Effect:
+        """Return an added effect as a reported one; its confidence is over those that could replace it."""
         temper = max(width(a.needed), 10.0) / 10.0
         elsewhere = {(label[0], label[1]): 0.0 for label in a.others if label[:2] != (a.kind, a.where)}
         for label, dearer in a.others.items():
@@ -211,9 +212,11 @@ class _GrownDiagnosis:
         )
 
     def _said(self, a: Added) -> str:
+        """Return an added effect in words."""
         return said(a.entry.candidate, a.value, record_s=self.growth.problem.samples.span_s)
 
     def _others(self) -> tuple[Alternative, ...]:
+        """Return the effects that could replace an added one, with shares of their likelihood."""
         found: dict[tuple[str, str, str], Alternative] = {}
         for a in self.added:
             temper = max(width(a.needed), 10.0) / 10.0
@@ -222,6 +225,7 @@ class _GrownDiagnosis:
         return tuple(found.values())
 
     def _errors(self) -> dict[str, SensorError]:
+        """Return the held-out RMSE per sensor, K: as in the file, re-tuned, and with the effects."""
         grid = None
         if not self.whole.at_rest and not self.whole.means:
             grid = on_grid(self.network, self.record.time_s, self.record.inputs, self.record.measured)
@@ -251,6 +255,7 @@ class _GrownDiagnosis:
         return hours, [np.stack([_mean(r[a:b]) for a, b in rows]) for r in self.residuals]
 
     def _ladder(self, misfit: list[float]) -> tuple[Rung, ...]:
+        """Return the misfit after each added effect, with the score of the next one."""
         names, rungs = "re-tuned", []
         gains = [a.gain for a in self.added] + [max((r.gain for r in self.growth.refused), default=0.0)]
         for i, (chi, gain) in enumerate(zip(misfit, gains, strict=True)):

@@ -153,6 +153,7 @@ def plan(
 def _designer(
     finding: Finding, known: Basis, grids: tuple[Grid, ...], levels: Levels, causes: tuple[Ranked, ...]
 ) -> Designer:
+    """Return the designer of an experiment that goes on from the last record, with the information of later ones."""
     probe, last = known.probe, grids[-1]
     span = finding.score_test.grid.span_s
 

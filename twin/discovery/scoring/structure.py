@@ -119,6 +119,7 @@ def structure_of(score_test: ScoreTest, laws: list[CandidateLaw], offsets: Seque
 
 
 def _fitted(score_test: ScoreTest, laws: list[CandidateLaw]) -> Structure:
+    """Return the amplitudes of laws at the width, in typical sizes, that has the largest evidence."""
     used = [law for law in laws if belongs(law.candidate, score_test)]
     gram, score = score_test.joint(np.stack([score_test.vector(law) for law in used]))
     # The noise was learned from the same record and holds the structure: it is not taken for more than it is.

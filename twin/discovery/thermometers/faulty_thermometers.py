@@ -252,6 +252,7 @@ def _leaves(left: Diagnosis) -> str:
 
 
 def _late(one: Members, odd: Odd, start: float) -> Effect:
+    """Return the fault of a thermometer that lags behind the others of its place."""
     onset, spread = start + odd.shape.onset_s, NORMAL90 * odd.sd
     window_s = LATE_WINDOW_S if odd.shape.onset_s > 0.0 else 0.0
     return Effect(
@@ -306,6 +307,7 @@ def _fault(one: Members, odd: Odd, likely: tuple[FaultHypothesis, ...], start: f
 
 
 def _restless(one: Members, odd: Odd, start: float) -> Effect:
+    """Return the fault of a thermometer that deviates now and then, with no known form."""
     onset = start + odd.shape.onset_s
     return Effect(
         kind="unknown",

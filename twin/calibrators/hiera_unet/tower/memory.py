@@ -20,7 +20,6 @@ EDGES = {
     "wet": (-3.0, -1.5, -1.0, -0.5, -0.2, 0.1, 1.0),
 }
 """Edges of the bins: heat and flow over their design values, fan speed, wet bulb from design in tens of kelvins."""
-TOKENS = sum(len(edges) - 1 for edges in EDGES.values())
 
 
 def memory_of(

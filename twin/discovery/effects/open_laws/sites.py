@@ -84,6 +84,7 @@ def _plain(text: str) -> str:
 
 
 def _heat_site(network: Network, law: CandidateLaw) -> OpenSite:
+    """Return the site of heat into the nodes of a place, in the proportions of the named law of constant heat."""
     assert law.heat is not None
     c = law.candidate
     weight = np.abs(law.heat).max(axis=0)
@@ -114,6 +115,7 @@ def _heat_site(network: Network, law: CandidateLaw) -> OpenSite:
 
 
 def _reading_site(network: Network, law: CandidateLaw) -> OpenSite | None:
+    """Return the site of an error of a sensor; None if the named law is of no sensor of the network."""
     c = law.candidate
     names = [key.split(".")[0] for key in c.changes]
     if law.reading is None or any(n not in network.sensor_names for n in names):
@@ -167,6 +169,7 @@ def _input_site(network: Network, law: CandidateLaw) -> OpenSite | None:
 
 
 def _flow_site(network: Network, law: CandidateLaw) -> OpenSite | None:
+    """Return the site of a share of a flow; None without an influence on the record."""
     c = law.candidate
     element = circuit_of(network, c)
     if law.heat is None:
@@ -192,6 +195,7 @@ def _flow_site(network: Network, law: CandidateLaw) -> OpenSite | None:
 
 
 def _loss_site(network: Network, law: CandidateLaw) -> OpenSite | None:
+    """Return the site of a conductance from one node to the room; None without a room or for several nodes."""
     c = law.candidate
     room = network.room
     if law.heat is None or not room:
