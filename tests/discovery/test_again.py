@@ -48,7 +48,7 @@ def taken_up(network: Network, candidate: Candidate) -> Network:
 def test_whatever_a_twin_took_up_may_change_and_nothing_further_is_named_as_it() -> None:
     network = load(LOOP)
     silent = []
-    stays = tuple(c for c in catalogue(network) if not c.passes)  # what passes is not taken up
+    stays = tuple(c for c in catalogue(network) if not c.is_event)  # what passes is not taken up
     for candidate in every_form(stays):
         own = taken_up(network, candidate)
         offered = tuple(every_form(catalogue(own)))

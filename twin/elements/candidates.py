@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Literal
 if TYPE_CHECKING:
     from twin.elements.base import Element
 
-STAYING = ("step", "ramp", "saturating")
-"""Time courses of what stays: at once, growing in proportion to time, or growing to a final size."""
-PASSING = ("spell", "periodic", "pulse")
-"""Time courses of what passes: it ends, comes back, or fades."""
+LASTING = ("step", "ramp", "saturating")
+"""Time courses of effects that last: at once, growing in proportion to time, or growing to a final size."""
+TRANSIENT = ("spell", "periodic", "pulse")
+"""Time courses of transient effects: one that ends, one that returns periodically, and one that fades."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Candidate:
     replaces: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     inverse: bool = False
     exhausts: bool = False
-    shapes: tuple[str, ...] = (*STAYING, *PASSING)
+    shapes: tuple[str, ...] = (*LASTING, *TRANSIENT)
     lumped: float = 0.0
     near: Callable[[], tuple[Candidate, ...]] | None = None
     at_level: Callable[[float], Candidate] | None = None
@@ -117,9 +117,9 @@ class Candidate:
         return low or (size >= self.upper and self.upper not in ends and not self.exhausts)
 
     @property
-    def passes(self) -> bool:
-        """Return True for an event, which never stays."""
-        return self.shapes == PASSING
+    def is_event(self) -> bool:
+        """Return True for an event, such as a refill, which is always transient."""
+        return self.shapes == TRANSIENT
 
     @cached_property
     def id(self) -> str:

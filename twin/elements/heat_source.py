@@ -27,7 +27,7 @@ from functools import partial
 from typing import ClassVar
 
 from twin.elements.base import Element, Names, ParameterSpec, place
-from twin.elements.candidates import PASSING, Candidate, EffectSize, Sites
+from twin.elements.candidates import TRANSIENT, Candidate, EffectSize, Sites
 from twin.elements.fragments import Export, Fragment
 
 LAWS = ("proportional", "linear", "squared", "cubed", "daily", "daylight")
@@ -54,7 +54,7 @@ _UNITS = {
 }
 _OTHER_LAWS = ("_C", "_pct", "_h")
 """Endings of inputs that nothing uses and that have laws of their own, or no heat: temperatures, speeds, a clock."""
-MOST_PASSING_W = 1.0e5
+MOST_EVENT_W = 1.0e5
 """Heat that comes in for a time at most, W: as much as the element allows."""
 TYPICAL_W, MUCH = 20.0, 1.0e4
 """Heat of interest that an input may bring in over its range, W, and the largest, in multiples of it."""
@@ -258,7 +258,7 @@ class HeatSource(Element):
 
 def _passing(constant: Candidate) -> Candidate:
     """Return the candidate of heat that comes in for a time, which may bring in a minute what is usual in an hour."""
-    return replace(constant, typical=60.0 * constant.typical, lower=0.0, upper=MOST_PASSING_W, shapes=PASSING)
+    return replace(constant, typical=60.0 * constant.typical, lower=0.0, upper=MOST_EVENT_W, shapes=TRANSIENT)
 
 
 _UNKNOWN = "gives off {value} that the twin does not know of"

@@ -29,7 +29,7 @@ from typing import ClassVar
 
 from twin.column_names import UNITS_OF_SUFFIX
 from twin.elements.base import STAMP, Element, Names, ParameterSpec, place
-from twin.elements.candidates import PASSING, Candidate, Sites, input_target
+from twin.elements.candidates import TRANSIENT, Candidate, Sites, input_target
 from twin.elements.fragments import ElementState, Fragment, SampleMemory
 from twin.elements.law_forms import (
     COURSES,
@@ -267,7 +267,7 @@ class LawFluid(Law):
                 MOST_FILLING,
                 f"gets {{value}} of {word} water (of {temperature:.0f} degC, or more of less {word} water{otherwise})",
                 adds={name: {"kind": cls.kind, "node": node, "temperature": temperature}},
-                shapes=PASSING,
+                shapes=TRANSIENT,
             )
             for node in sites.nodes
             if node in wet

@@ -26,7 +26,6 @@ from twin.discovery.effects.ambiguity_groups import ambiguity_groups
 from twin.discovery.effects.open_laws.laws import adopted
 from twin.discovery.effects.phrases import clock, said
 from twin.discovery.effects.probe import FreeRun
-from twin.discovery.effects.shapes import TIMED
 from twin.discovery.evidence.commissioned import nothing, retuned_alone
 from twin.discovery.evidence.finding import Finding, Ranked
 from twin.discovery.evidence.held_out import contradicted, weights_unreliable
@@ -40,6 +39,7 @@ from twin.discovery.records.grid import Grid, centred
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.refit.model import Model
 from twin.discovery.thermometers.faulty_thermometers import attributed, stuck_effects
+from twin.elements.candidates import TRANSIENT
 from twin.network import Array, Network
 
 _BEYOND = (
@@ -234,7 +234,7 @@ def _named(case: AssessedFinding) -> Answer:
     alternatives = tuple(a for a in alternatives if (a.kind, a.where, a.driver) not in same)
     switches = switched(finding, grid, float(grid.time[0]))
     notes = (*_at_one_moment(case), *(says for _, says in switches))
-    passing = any(e.shape.name in TIMED for e in finding.fit.entries)
+    passing = any(e.shape.name in TRANSIENT for e in finding.fit.entries)
     if passing:
         notes += ("an effect that ends, comes back or fades is named and not added to the twin",)
     return Answer(

@@ -69,15 +69,15 @@ class Book:
 
     Attributes:
         candidates: all but those of `put_in`, other forms of some of them with an initial temperature of their own, and
-            those of `passing`, which are always transient.
+            those of `events`, which are always transient.
     """
 
     def __init__(self, network: Network, late_at_once: bool = True) -> None:
         self.network = network
         self._late_at_once = late_at_once
         every = tuple(self._as_told(c) for c in catalogue(network))
-        self.candidates = tuple(c for c in every if not c.begins and not c.passes)
-        self.passing = tuple(c for c in every if c.passes)
+        self.candidates = tuple(c for c in every if not c.begins and not c.is_event)
+        self.events = tuple(c for c in every if c.is_event)
         self.put_in = tuple(c for c in every if c.begins)
         self._base = Formulas(network)
         self._made: dict[str, Formulas] = {}
@@ -112,7 +112,7 @@ class Book:
         step = candidate.typical if candidate.typical <= candidate.upper else -candidate.typical
         changed = bigger.with_values(sized(bigger, candidate, step))
         made = bigger, step, changed, self._formulas(candidate, changed)
-        if any(candidate is own for own in (*self.candidates, *self.passing)):  # which live as long as the book does
+        if any(candidate is own for own in (*self.candidates, *self.events)):  # which live as long as the book does
             self._steps[id(candidate)] = made
         return made
 

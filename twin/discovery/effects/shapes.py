@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.elements.candidates import PASSING
 from twin.network import Array
 
 EARLY_S = 3600.0
@@ -23,13 +22,11 @@ BEYOND = 1.5
 """Multiple of a record's length for which a ramp that still rises at its end is taken to rise."""
 
 
-TIMED = PASSING
-"""Shapes of transient effects: each has a second time, `growth_s`, that is identifiable from the record."""
-
-
 @dataclass(frozen=True)
 class Shape:
-    """Time course: `name` step, ramp, saturating, put in, or one of `TIMED`; `onset_s` from the record's beginning, s.
+    """Time course: `name` step, ramp, saturating, put in, or a transient one (`twin.elements.candidates.TRANSIENT`).
+
+    `onset_s` is from the record's beginning, s.
 
     `growth_s`: duration of a ramp or of a single transient, period of a periodic course, or time constant of a
     saturating one, of the heat of a mass put in, and of a pulse. `duty`: share of a period in which a periodic effect

@@ -15,7 +15,7 @@ from twin.discovery.records.grid import Grid, bridged
 from twin.discovery.records.noise import Noise
 from twin.discovery.refit.model import Model
 from twin.discovery.scoring.search import Entry
-from twin.elements.candidates import STAYING
+from twin.elements.candidates import LASTING
 from twin.network import Array, Network
 from twin.segments import find_segments
 
@@ -70,7 +70,7 @@ def _lasting_leave_more(errors: Mapping[str, SensorError], entries: Sequence[Ent
 
     An effect that has passed, such as a refill, predicts nothing about what comes later.
     """
-    stays = all(e.shape.name in STAYING and not e.candidate.passes and not e.candidate.begins for e in entries)
+    stays = all(e.shape.name in LASTING and not e.candidate.is_event and not e.candidate.begins for e in entries)
     return bool(entries) and stays and leaves_more_squares(errors)
 
 

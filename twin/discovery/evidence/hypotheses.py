@@ -128,7 +128,7 @@ def apart(candidate: Candidate, others: Sequence[Entry]) -> bool:
 
 def _adds_up(candidate: Candidate) -> bool:
     """Return True for a named law of which two changes are one of the sum of their sizes."""
-    return not (candidate.is_open or candidate.inverse or candidate.begins or candidate.sticks or candidate.passes)
+    return not (candidate.is_open or candidate.inverse or candidate.begins or candidate.sticks or candidate.is_event)
 
 
 def place_of(candidate: Candidate) -> Place:

@@ -312,4 +312,4 @@ def _leading_effects(part: Part) -> list[Entry]:
     score_test, prior = part.score_test, Prior(part.laws)
     first = leading(part.scanned, prior)
     others = [law for law in part.laws if apart(law.candidate, first[:1])]
-    return [*first, *leading(scan(score_test, others, joint(score_test, first[:1]), timed=False), prior)]
+    return [*first, *leading(scan(score_test, others, joint(score_test, first[:1]), transient=False), prior)]

@@ -70,7 +70,7 @@ class Part:
         book = known.book
         levelled = tuple(at for c in book.candidates for at in _at_levels(c, known, grid, run))
         every = [law for law in book.laws(grid, run) if law.candidate.at_level is None]
-        every += [law for only in (book.put_in, book.passing, levelled) for law in book.laws(grid, run, only)]
+        every += [law for only in (book.put_in, book.events, levelled) for law in book.laws(grid, run, only)]
         assumed = known.assumed(grid)
         found = [law for law in every if law.candidate.where not in assumed]
         told = [*found, *_missing(known, grid, run, found)]
@@ -139,7 +139,7 @@ class Part:
             made += [(law, form) for form in book.laws(self.grid, self.run, forms)]
         law_of = {id(form): law for law, form in made}
         best: dict[str, tuple[CandidateLaw, Entry]] = {}
-        for entry in scan(self.score_test, [form for _, form in made], timed=False):
+        for entry in scan(self.score_test, [form for _, form in made], transient=False):
             law = law_of[id(entry.law)]
             best.setdefault(law.candidate.id, (law, entry))
         return [*best.values()]

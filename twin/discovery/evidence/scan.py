@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.discovery.effects.laws import CandidateLaw
-from twin.discovery.effects.shapes import EARLY_S, TIMED, Shape, courses_of
+from twin.discovery.effects.shapes import EARLY_S, Shape, courses_of
 from twin.discovery.evidence.marginal import (
     LEAD,
     NEGLIGIBLE,
@@ -25,7 +25,7 @@ from twin.discovery.evidence.priors import ALL_ALONG, AT_ONCE, SPREAD
 from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE, Courses, LawSquares, returning, rows_by_name
-from twin.elements.candidates import Candidate
+from twin.elements.candidates import TRANSIENT, Candidate
 from twin.network import Array
 
 STEADY = ("constant", "temperature_difference")
@@ -42,7 +42,7 @@ _TINY = 1e-12
 
 
 def scan(
-    score_test: ScoreTest, laws: Sequence[CandidateLaw], beside: Joint | None = None, *, timed: bool = True
+    score_test: ScoreTest, laws: Sequence[CandidateLaw], beside: Joint | None = None, *, transient: bool = True
 ) -> list[Entry]:
     """Return the likeliest onset of each law in each of its shapes, by falling evidence.
 
@@ -50,7 +50,7 @@ def scan(
     that average over its maximum.
 
     Parameters:
-        beside: effects that are integrated out. timed: with transient courses.
+        beside: effects that are integrated out. transient: with transient courses, too.
     """
     courses = Courses.of(score_test)
     scanned = _Scanned(score_test, courses, beside)
@@ -61,7 +61,7 @@ def scan(
     found: list[Entry] = []
     for (family, _, ends), those in alike.items():
         for k in range(0, len(those), TOGETHER):
-            found += _of_laws(scanned, those[k : k + TOGETHER], family, timed and ends)
+            found += _of_laws(scanned, those[k : k + TOGETHER], family, transient and ends)
     found.sort(key=lambda e: -e.log_bayes)
     return found
 
@@ -99,11 +99,11 @@ class _Scanned:
 
 
 def family_of(candidate: Candidate) -> str:
-    """Return the family of courses that a law is tried with: "put in", "passing", "step" alone, or "any"."""
+    """Return the family of courses that a law is tried with: "put in", "event", "step" alone, or "any"."""
     if candidate.begins:
         return "put in"
-    if candidate.passes:
-        return "passing"
+    if candidate.is_event:
+        return "event"
     return "step" if candidate.shapes == ("step",) else "any"
 
 
@@ -114,7 +114,7 @@ def may_end(candidate: Candidate) -> bool:
     another.
     """
     tried = candidate.driver in STEADY or candidate.sticks
-    return not set(TIMED).isdisjoint(candidate.shapes) and not candidate.begins and tried
+    return not set(TRANSIENT).isdisjoint(candidate.shapes) and not candidate.begins and tried
 
 
 def refined(score_test: ScoreTest, entry: Entry, beside: Joint | None = None) -> Entry:
@@ -141,7 +141,7 @@ def refined(score_test: ScoreTest, entry: Entry, beside: Joint | None = None) ->
         # A scan knows the turn with which it began within an eighth of the record.
         turns_s = np.arange(shape.onset_s % shape.growth_s, LAST_SHARE * edges_s[-1], shape.growth_s)
         best, size, bottom, shape, course = at([replace(shape, onset_s=float(t)) for t in turns_s])
-    reach = score_test.step_s if shape.onset_s > 0.0 or shape.name in TIMED else 0.0
+    reach = score_test.step_s if shape.onset_s > 0.0 or shape.name in TRANSIENT else 0.0
     while reach >= NEAREST_S:
         tried = [replace(shape, onset_s=shape.onset_s + d) for d in (-reach, reach)]
         if shape.name == "spell":
@@ -170,7 +170,7 @@ def refined(score_test: ScoreTest, entry: Entry, beside: Joint | None = None) ->
             for s in tried
             if 0.0 <= s.onset_s <= LAST_SHARE * edges_s[-1]
             and 0.0 <= s.into_s <= s.duty * s.growth_s
-            and (s.name not in TIMED or s.growth_s > NEAREST_S)
+            and (s.name not in TRANSIENT or s.growth_s > NEAREST_S)
             and (s.name != "pulse" or s.onset_s > EARLY_S)
             and (s.name != "spell" or s.onset_s >= score_test.step_s or s.onset_s + s.growth_s > EARLY_S)
         ]
@@ -213,7 +213,7 @@ def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns
         odds, size = log_bayes_of_sizes(candidates, scores @ columns, bottom)
         out.extend(_best(laws, squares, shapes, columns, odds + prior, odds, size, bottom))
 
-    if family not in ("put in", "passing"):
+    if family not in ("put in", "event"):
         late = taken[..., ::-1].cumsum(axis=2)[..., ::-1][..., : courses.steps.shape[1]]
         bottom = np.maximum(np.stack([q.steps for q in squares]) - np.einsum("lcb,lcb->lb", late, late), least)
         odds, size = log_bayes_of_sizes(candidates, scores @ courses.steps, bottom)

@@ -12,7 +12,6 @@ import numpy as np
 
 from twin.discovery.diagnosis import Rung
 from twin.discovery.effects.laws import CandidateLaw
-from twin.discovery.effects.shapes import TIMED
 from twin.discovery.evidence.hypotheses import Class, Found, Hypothesis, Place, Prior, apart, class_of, place
 from twin.discovery.evidence.marginal import form_quadratic, joint, log_widths, widths
 from twin.discovery.evidence.part import Part, at_another_level, continued, fitted, gains, slower
@@ -23,6 +22,7 @@ from twin.discovery.refit.fitting import AGAIN, Fit
 from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
+from twin.elements.candidates import TRANSIENT
 
 LEADING = 24
 """Single effects that are tried as members of a pair; a prototype missed true pairs with five."""
@@ -118,7 +118,7 @@ def leading(entries: list[Entry], prior: Prior) -> list[Entry]:
     found: list[Entry] = []
     for entry in entries:
         claim = entry.label, entry.shape.name
-        if taken[claim] and entry.shape.name in TIMED:
+        if taken[claim] and entry.shape.name in TRANSIENT:
             continue
         # What changes twice resembles a law of some driver; by itself its own law may come behind those.
         steady = class_of(entry), entry.candidate.driver in STEADY
@@ -148,7 +148,7 @@ def _grown(part: Part, known: list[Hypothesis], prior: Prior, laws: Sequence[Can
     for rank, one in enumerate(known[: LEADING if len(known[0].entries) == 1 else FITTED]):
         beside = joint(part.score_test, _at_first_order(part, one))
         others = [law for law in laws if apart(law.candidate, one.entries)]
-        scanned = scan(part.score_test, others, beside, timed=rank < PER_CLASS)
+        scanned = scan(part.score_test, others, beside, transient=rank < PER_CLASS)
         for entry in leading(scanned, prior)[:BESIDE]:
             if entry.log_bayes + prior.of(entry) <= 0.0:
                 break
@@ -375,6 +375,6 @@ def ladder_of(part: Part, told: Hypothesis | None, scanned: Sequence[Entry]) -> 
     rungs = [Rung("as commissioned", score_test.misfit / max(score_test.count, 1), best)]
     if told is not None and told.fit is not None:
         what = " + ".join(f"{e.candidate.kind} at {e.candidate.where}" for e in told.entries)
-        left = scan(score_test, part.laws, joint(score_test, _at_first_order(part, told)), timed=False)
+        left = scan(score_test, part.laws, joint(score_test, _at_first_order(part, told)), transient=False)
         rungs.append(Rung(what, told.fit.chi, max((e.z for e in left[:LEADING]), default=0.0)))
     return tuple(rungs)

@@ -197,7 +197,7 @@ class SplitSearch:
         score_test.take(fit.residual, fit.moved)
         known = joint(score_test, tuple(e.refreshed(score_test) for e in fit.entries))
         others = [law for law in whole.laws if apart(law.candidate, fit.entries)]
-        found = scan(score_test, others, known, timed=False)
+        found = scan(score_test, others, known, transient=False)
         best = max(found, key=lambda e: e.log_bayes + prior.of(e), default=None)
         return best if best is not None and best.log_bayes + prior.of(best) > claim else None
 

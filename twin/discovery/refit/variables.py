@@ -15,10 +15,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.discovery.effects.shapes import TIMED, Shape
+from twin.discovery.effects.shapes import Shape
 from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
+from twin.elements.candidates import TRANSIENT
 from twin.network import Array
 
 REACH = 1.0
@@ -126,7 +127,7 @@ class Variables:
         high[self.sizes] = [x.candidate.upper for x in self.entries] / self.reached
         low[self.onsets], high[self.onsets] = 0.0, LAST_SHARE * span_h
         shapes = [self.entries[i].shape for i in self.with_growth]
-        low[self.growths] = [np.log((grid.step_s if s.name in TIMED else GROWN_S) / 3600.0) for s in shapes]
+        low[self.growths] = [np.log((grid.step_s if s.name in TRANSIENT else GROWN_S) / 3600.0) for s in shapes]
         high[self.growths] = np.log(LONGEST_GROWTH * span_h)
         return low, high
 

@@ -57,23 +57,23 @@ class Courses:
         return known
 
     @cached_property
-    def timed(self) -> list[Shape]:
+    def transients(self) -> list[Shape]:
         """Return periodic shapes and pulses, for the search by evidence alone."""
-        return _timed(self.onsets, self.edges_s)
+        return _transients(self.onsets, self.edges_s)
 
     @cached_property
     def by_name(self) -> tuple[tuple[list[Shape], NDArray[np.intp]], ...]:
-        """Return the `timed` shapes of each name, with their columns of `returns`."""
-        return rows_by_name(self.timed)
+        """Return the `transients` shapes of each name, with their columns of `returns`."""
+        return rows_by_name(self.transients)
 
     @cached_property
     def returns(self) -> Array:
-        """Return courses (b, k) of the `timed` shapes."""
-        return courses_of(self.timed, self.edges_s).T.copy()
+        """Return courses (b, k) of the `transients` shapes."""
+        return courses_of(self.transients, self.edges_s).T.copy()
 
     @cached_property
     def turns(self) -> tuple[list[Shape], Array, NDArray[np.intp]]:
-        """Return periodic shapes, their courses (b, k), and for each the nearest one among those of `timed`.
+        """Return periodic shapes, their courses (b, k), and for each the nearest one among those of `transients`.
 
         Their frequencies are closer than the resolution of the record.
         """
@@ -92,7 +92,7 @@ class Courses:
 
     def beyond(self, candidate: Candidate) -> tuple[list[Shape], Array]:
         """Return the shapes of a candidate other than steps, and their courses (b, j)."""
-        if candidate.shapes == ("step",) or candidate.passes:
+        if candidate.shapes == ("step",) or candidate.is_event:
             return [], self.growths[:, :0]
         if not candidate.begins:
             return self.grown, self.growths
@@ -151,7 +151,7 @@ def returning(score_test: ScoreTest, law: CandidateLaw, gram: Array) -> Array:
     known: Array | None = score_test.memo.get(("returning", law))
     if known is None:
         courses = Courses.of(score_test)
-        known = score_test.memo["returning", law] = squares_of(score_test, gram, courses.returns, courses.timed)
+        known = score_test.memo["returning", law] = squares_of(score_test, gram, courses.returns, courses.transients)
     return known
 
 
@@ -232,7 +232,7 @@ def _courses(score_test: ScoreTest) -> Courses:
     return Courses(onsets, steps, grown, growths, edges_s, begins)
 
 
-def _timed(onsets: Array, edges_s: Array) -> list[Shape]:
+def _transients(onsets: Array, edges_s: Array) -> list[Shape]:
     """Return periodic shapes and pulses that a record of these blocks resolves; `refined` searches between them."""
     span, block = float(edges_s[-1]), float(edges_s[1] - edges_s[0])
     found = [

@@ -115,7 +115,7 @@ def _lacking(network: Network, tunables: tuple[str, ...], slow: tuple[Candidate,
     """
     # What is there from the beginning was not put in at some time and does not pass; a reading that never changes is
     # left out.
-    every = [c for c in catalogue(network) if not (c.begins or c.has_level or c.passes)]
+    every = [c for c in catalogue(network) if not (c.begins or c.has_level or c.is_event)]
     talks = Counter(name for c in every for name in c.replaces)
     single = [c for c in every if _absent(network, c) and all(talks[name] == 1 for name in c.replaces)]
     single = [*(_noticed(c) for c in single if not c.slow_s), *slow]
