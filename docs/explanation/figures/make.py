@@ -354,6 +354,41 @@ def reads() -> plt.Figure:
     return figure
 
 
+def safety() -> plt.Figure:
+    """Draw the time from an event to the layer that makes the virtual rig safe, from the constants of the program."""
+    from drivers.rig_file import CanBus, load_rig
+    from hil.guardian.process import POLL_S
+    from hil.run.outputs import SAFE_WITHIN_S, SILENCE_S
+
+    rig = load_rig(PROJECT / "profiles" / "rigs" / "virtual.toml")
+    assert rig.watchdog_s is not None
+    timeouts_s = sum(bus.timeout_s for bus in rig.bus.values() if not isinstance(bus, CanBus))
+    alive_s = rig.period_s + 1.0 + rig.abort_after_s + 2.0 * timeouts_s
+    engine, guardian, watchdog = "engine", "guardian", "watchdog of the rig"
+    layers = {engine: GREEN, guardian: BLUE, watchdog: ORANGE}
+    at_last = (watchdog, rig.watchdog_s)
+    cases: tuple[tuple[str, tuple[tuple[str, float], ...]], ...] = (
+        ("the run ends, pauses, trips or fails", ((engine, 0.0),)),
+        ("its process is killed", ((guardian, POLL_S), at_last)),
+        ("its process is stopped or hangs", ((guardian, SILENCE_S + POLL_S), at_last)),
+        ("a tick waits for mute devices", (at_last, (guardian, alive_s + SILENCE_S))),
+        ("the machine loses power", (at_last,)),
+    )
+    figure, axes = plt.subplots(figsize=(9.0, 2.6))
+    axes.axvspan(0.0, SAFE_WITHIN_S, color=GREEN, alpha=0.12, lw=0)
+    for row, (event, acts) in enumerate(cases):
+        axes.plot([0.0, acts[0][1]], [-row, -row], color=GREY, lw=1.0)
+        for layer, after_s in acts:
+            axes.plot(after_s, -row, "o", color=layers[layer], ms=6)
+        axes.text(-0.2, -row, event, fontsize=8, va="center", ha="right")
+    for layer, colour in layers.items():
+        axes.plot([], [], "o", color=colour, ms=6, label=layer)
+    axes.legend(loc="upper right", fontsize=8, frameon=False)
+    axes.set(ylim=(-4.6, 0.6), xlim=(-0.1, alive_s + SILENCE_S + 0.5), yticks=[], xlabel="s after the event")
+    axes.spines[["left", "right", "top"]].set_visible(False)
+    return figure
+
+
 def trial() -> plt.Figure:
     """Draw the scores of the published blind trial with their 90 % Wilson intervals."""
     text = (PROJECT / "docs" / "results" / "discovery.json").read_text(encoding="utf-8")
@@ -406,6 +441,7 @@ FIGURES: dict[str, Callable[[], plt.Figure]] = {
     "scores": scores,
     "states": states,
     "reads": reads,
+    "safety": safety,
     "trial": trial,
     "tower": tower,
 }
