@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.discovery.effects.shapes import EARLY_S
-from twin.discovery.thermometers.members import CORRELATED, Members, Odd
+from twin.discovery.thermometers.deviations import CORRELATED, Deviation
+from twin.discovery.thermometers.members import Members
 from twin.network import Array
 
 SLOW_S = (20.0, 40.0, 80.0, 160.0, 320.0)
@@ -39,12 +40,12 @@ class FaultHypothesis:
     share: float
 
 
-def fault_hypotheses(found: Members, odd: Odd) -> tuple[FaultHypothesis, ...]:
+def fault_hypotheses(found: Members, deviation: Deviation) -> tuple[FaultHypothesis, ...]:
     """Return the fault hypotheses of a deviating member, the likeliest first; none if nothing explains it."""
-    good, i = found.good, found.columns.index(odd.column)
+    good, i = found.good, found.columns.index(deviation.column)
     y = found.by_itself(i, found.residual[good])
-    course = odd.shape.block_means(found.edges_s)[good]
-    grows = odd.shape.name != "step"
+    course = deviation.shape.block_means(found.edges_s)[good]
+    grows = deviation.shape.name != "step"
     drives = {driver: values[good] for driver, values in found.follows.items()}
     temperature = drives.pop("temperature")
     columns = {"": course[:, None], "temperature": np.column_stack([course, course * temperature])}
@@ -55,8 +56,8 @@ def fault_hypotheses(found: Members, odd: Odd) -> tuple[FaultHypothesis, ...]:
         return ()
     # What even the best leaves over what is healthy says how much the others' squares are worth.
     worth = CORRELATED * max(float(found.sd[i]) ** 2, least / len(y))
-    sudden = _sudden(found, i, odd) if not grows and odd.shape.onset_s > EARLY_S else 0.0
-    source = RARER if odd.final > 0.0 else 2.0 * RARER
+    sudden = _sudden(found, i, deviation) if not grows and deviation.shape.onset_s > EARLY_S else 0.0
+    source = RARER if deviation.final > 0.0 else 2.0 * RARER
     first = "elapsed_time" if grows else "constant"
     costs = {
         ("sensor", first, False): left[""] / worth,
@@ -77,9 +78,9 @@ def fault_hypotheses(found: Members, odd: Odd) -> tuple[FaultHypothesis, ...]:
     )
 
 
-def has_thermal_onset(found: Members, odd: Odd) -> bool:
+def has_thermal_onset(found: Members, deviation: Deviation) -> bool:
     """Return True if a member's deviation began with the lag of a thermal mass, and not at once."""
-    return odd.shape.name == "step" and _sudden(found, found.columns.index(odd.column), odd) < -RARER
+    return deviation.shape.name == "step" and _sudden(found, found.columns.index(deviation.column), deviation) < -RARER
 
 
 def _left(y: Array, columns: Array) -> float:
@@ -88,19 +89,19 @@ def _left(y: Array, columns: Array) -> float:
     return float(((y - columns @ size) ** 2).sum())
 
 
-def _sudden(found: Members, i: int, odd: Odd) -> float:
+def _sudden(found: Members, i: int, deviation: Deviation) -> float:
     """Return the excess of weighted squares of an onset with thermal lag over one at once; negative if lag fits
     better.
     """
     time_s = (np.arange(len(found.fine)) + 0.5) * found.step_s
-    near = np.abs(time_s - odd.shape.onset_s) < AROUND_S
+    near = np.abs(time_s - deviation.shape.onset_s) < AROUND_S
     y = found.by_itself(i, found.fine[near])
     seen = np.isfinite(y)
     y, t = y[seen], time_s[near][seen]
     if len(y) < 2.0 * AROUND_S / found.step_s / 3.0:
         return 0.0
     noise = float(np.var(np.diff(y))) / 2.0
-    onsets = odd.shape.onset_s + np.arange(-SOONER_S, SOONER_S, EVERY_S)
+    onsets = deviation.shape.onset_s + np.arange(-SOONER_S, SOONER_S, EVERY_S)
     y = y - y.mean()
 
     def left(slow_s: float) -> float:

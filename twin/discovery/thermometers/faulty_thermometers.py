@@ -17,17 +17,16 @@ from twin.discovery.effects.phrases import amount, clock, when
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.healthy.basis import Columns
 from twin.discovery.records.stuck_readings import Stuck
-from twin.discovery.thermometers.fault_hypotheses import FaultHypothesis, fault_hypotheses, has_thermal_onset
-from twin.discovery.thermometers.members import (
-    LATE_WINDOW_S,
-    Members,
-    Odd,
+from twin.discovery.thermometers.deviations import (
+    Deviation,
     apart,
-    began_between,
-    lagging_one,
-    odd_one,
-    restless_one,
+    deviating_member,
+    intermittent_member,
+    lagging_member,
+    onset_interval,
 )
+from twin.discovery.thermometers.fault_hypotheses import FaultHypothesis, fault_hypotheses, has_thermal_onset
+from twin.discovery.thermometers.members import LATE_WINDOW_S, Members
 from twin.network import Array, Network
 from twin.quantiles import NORMAL90
 
@@ -54,7 +53,7 @@ class FaultyThermometers:
 
     group: Members
     columns: tuple[str, ...]
-    late: Odd | None = None
+    late: Deviation | None = None
     settled: bool = True
 
 
@@ -65,15 +64,17 @@ def faulty_thermometers(groups: tuple[Members, ...]) -> FaultyThermometers | Non
     intermittent one appears in the mean as a fault of another form.
     """
     for group in groups:
-        late = lagging_one(group)
+        late = lagging_member(group)
         if late is not None:
             return FaultyThermometers(group, (late.column,), late)
     for group in groups:
         differ = [
-            odd.column for each in apart(group) if (odd := odd_one(each)) is not None and fault_hypotheses(each, odd)
+            deviation.column
+            for each in apart(group)
+            if (deviation := deviating_member(each)) is not None and fault_hypotheses(each, deviation)
         ]
-        restless = None if differ else restless_one(group)
-        columns = differ if restless is None else [restless.column]
+        intermittent = None if differ else intermittent_member(group)
+        columns = differ if intermittent is None else [intermittent.column]
         if columns:
             return FaultyThermometers(group, tuple(dict.fromkeys(columns)), settled=bool(differ))
     return None
@@ -82,9 +83,9 @@ def faulty_thermometers(groups: tuple[Members, ...]) -> FaultyThermometers | Non
 def unlisted_fault(groups: tuple[Members, ...]) -> FaultyThermometers | None:
     """Return the first thermometer of several whose deviation has no known form and began at once, or None."""
     for group in groups:
-        odd = odd_one(group)
-        if odd is not None and not has_thermal_onset(group, odd):
-            return FaultyThermometers(group, (odd.column,))
+        deviation = deviating_member(group)
+        if deviation is not None and not has_thermal_onset(group, deviation):
+            return FaultyThermometers(group, (deviation.column,))
     return None
 
 
@@ -136,16 +137,16 @@ def with_faults(
         each = group
         for other in set(faulty.columns) - {column}:
             each = each.without(other)
-        odd = odd_one(each)
-        told = () if odd is None else fault_hypotheses(each, odd)
-        restless = None if told else restless_one(each)
-        if odd is not None and odd.column == column and told:
-            errors.append(_fault(each, odd, told, start))
-            others += _instead(odd, told)
-        elif restless is not None and restless.column == column:
-            errors.append(_restless(each, restless, start))
-        elif odd is not None and odd.column == column and not belongs:
-            errors.append(_strange(each, odd, start))
+        deviation = deviating_member(each)
+        told = () if deviation is None else fault_hypotheses(each, deviation)
+        intermittent = None if told else intermittent_member(each)
+        if deviation is not None and deviation.column == column and told:
+            errors.append(_fault(each, deviation, told, start))
+            others += _instead(deviation, told)
+        elif intermittent is not None and intermittent.column == column:
+            errors.append(_intermittent_fault(each, intermittent, start))
+        elif deviation is not None and deviation.column == column and not belongs:
+            errors.append(_unlisted(each, deviation, start))
     return _together((*stood, *errors), tuple(others), left)
 
 
@@ -155,8 +156,8 @@ def _together(errors: tuple[Effect, ...], same: tuple[Alternative, ...], left: D
         return left
     found = left.verdict != "adequate"
     verdict: Verdict = left.verdict if found else "effect found"
-    strange = any(e.kind == "unknown" for e in errors)
-    if strange:
+    unlisted = any(e.kind == "unknown" for e in errors)
+    if unlisted:
         verdict = "unexplained"
     elif same and verdict == "effect found":
         verdict = "ambiguous"
@@ -171,7 +172,7 @@ def _together(errors: tuple[Effect, ...], same: tuple[Alternative, ...], left: D
         next_experiment=left.next_experiment if found else None,
         indistinguishable=(*same, *left.indistinguishable),
         empirical=None,
-        own_course=None if strange else left.own_course,
+        own_course=None if unlisted else left.own_course,
     )
 
 
@@ -191,28 +192,28 @@ def attributed(
     others: list[Alternative] = []
     for effect in effects:
         here = effect.where in (node, group.sensor) and effect.kind in (*HEATS, "sensor")
-        near, odd = _came_in_with(effect, group, start) if here else (group, None)
-        told = () if odd is None else fault_hypotheses(near, odd)
-        if odd is None or not told or (effect.kind == "heat_source" and effect.value * odd.final < 0.0):
+        near, deviation = _came_in_with(effect, group, start) if here else (group, None)
+        told = () if deviation is None else fault_hypotheses(near, deviation)
+        if deviation is None or not told or (effect.kind == "heat_source" and effect.value * deviation.final < 0.0):
             found.append(effect)
         elif effect.kind == "sensor":
-            found.append(_fault(near, odd, told, start))
-            others += _instead(odd, told)
+            found.append(_fault(near, deviation, told, start))
+            others += _instead(deviation, told)
         else:
-            says = f"{effect.says}; of several alike, {odd.place} alone"
-            found.append(replace(effect, where=odd.place, says=says))
-            group = group.less(odd.column, odd.size, odd.shape)
+            says = f"{effect.says}; of several alike, {deviation.place} alone"
+            found.append(replace(effect, where=deviation.place, says=says))
+            group = group.less(deviation.column, deviation.size, deviation.shape)
     return tuple(found), tuple(others), group
 
 
-def _came_in_with(effect: Effect, group: Members, start: float) -> tuple[Members, Odd | None]:
+def _came_in_with(effect: Effect, group: Members, start: float) -> tuple[Members, Deviation | None]:
     """Return the member whose deviation began with an effect, or None, and those that it was compared with."""
     shape = Shape(effect.shape, max(effect.onset_s - start, 0.0), effect.growth_s)
     near = group.around(shape.onset_s) if shape.name == "step" and shape.onset_s > 0.0 else group
-    return near, odd_one(near, (shape,))
+    return near, deviating_member(near, (shape,))
 
 
-def _instead(odd: Odd, told: tuple[FaultHypothesis, ...]) -> tuple[Alternative, ...]:
+def _instead(deviation: Deviation, told: tuple[FaultHypothesis, ...]) -> tuple[Alternative, ...]:
     """Return the ambiguity group of the likeliest hypothesis, itself first, unless its probability is high enough."""
     places: dict[tuple[str, bool], float] = {}
     for n in told:
@@ -220,7 +221,7 @@ def _instead(odd: Odd, told: tuple[FaultHypothesis, ...]) -> tuple[Alternative, 
     if not told or places[told[0].kind, told[0].local] >= SURE:
         return ()
     left = [n for n in told if n.share > OPEN * told[0].share]
-    return tuple(Alternative(n.kind, odd.place if n.local else odd.column, n.driver, n.share) for n in left)
+    return tuple(Alternative(n.kind, deviation.place if n.local else deviation.column, n.driver, n.share) for n in left)
 
 
 def _either(same: tuple[Alternative, ...], *faults: Effect) -> str:
@@ -251,91 +252,91 @@ def _leaves(left: Diagnosis) -> str:
     return f"at most {e.before:.2g} K on {worst} at a noise of {e.noise:.2g} K, on the held-out segment"
 
 
-def _late(one: Members, odd: Odd, start: float) -> Effect:
+def _late(one: Members, deviation: Deviation, start: float) -> Effect:
     """Return the fault of a thermometer that lags behind the others of its place."""
-    onset, spread = start + odd.shape.onset_s, NORMAL90 * odd.sd
-    window_s = LATE_WINDOW_S if odd.shape.onset_s > 0.0 else 0.0
+    onset, spread = start + deviation.shape.onset_s, NORMAL90 * deviation.sd
+    window_s = LATE_WINDOW_S if deviation.shape.onset_s > 0.0 else 0.0
     return Effect(
         kind="sensor",
-        where=odd.column,
+        where=deviation.column,
         driver="rate_of_change",
         change="new",
-        value=odd.size,
+        value=deviation.size,
         unit="s",
-        interval90=(odd.size - spread, odd.size + spread),
+        interval90=(deviation.size - spread, deviation.size + spread),
         onset_s=onset,
         onset_interval90_s=(max(onset - window_s, start), onset + window_s),
         shape="step",
-        confidence=odd.share,
-        z=odd.z,
-        evidence=f"it explains {100.0 * odd.share:.0f} % of what {odd.column} differs from the others by",
-        says=f"{odd.column} follows the other thermometers of {one.sensor} late, by {amount(odd.size, 's', spread)} "
-        f"{when(odd.shape, start)}",
+        confidence=deviation.share,
+        z=deviation.z,
+        evidence=f"it explains {100.0 * deviation.share:.0f} % of what {deviation.column} differs from the others by",
+        says=f"{deviation.column} follows the other thermometers of {one.sensor} late, by "
+        f"{amount(deviation.size, 's', spread)} {when(deviation.shape, start)}",
     )
 
 
-def _fault(one: Members, odd: Odd, likely: tuple[FaultHypothesis, ...], start: float) -> Effect:
+def _fault(one: Members, deviation: Deviation, likely: tuple[FaultHypothesis, ...], start: float) -> Effect:
     """Return the fault of a deviating member: the likeliest hypothesis, a sensor fault if none explains it."""
-    spread, drifts = NORMAL90 * odd.sd, odd.shape.name != "step"
-    low, high = began_between(one, odd)
+    spread, drifts = NORMAL90 * deviation.sd, deviation.shape.name != "step"
+    low, high = onset_interval(one, deviation)
     told = likely[0] if likely else FaultHypothesis("sensor", "elapsed_time" if drifts else "constant", False, 1.0)
-    off = amount(abs(odd.final), "K", spread)
+    off = amount(abs(deviation.final), "K", spread)
     if told.local:
-        says = f"{odd.place} is {off} {'warmer' if odd.final > 0.0 else 'colder'} than its neighbours tell"
+        says = f"{deviation.place} is {off} {'warmer' if deviation.final > 0.0 else 'colder'} than its neighbours tell"
         says += ", the more the warmer it is beside the room" if told.kind == "heat_loss" else ""
         says += " and more with the heater's power" if told.driver == "heater_power" else ""
         says = f"{says}, too little heat for the loop to show" + (", at the record's end," if drifts else "")
     else:
-        reads = f"reads {off} too {'high' if odd.final > 0.0 else 'low'}"
-        says = f"{odd.column} " + (f"drifts and {reads} at the record's end," if drifts else reads)
+        reads = f"reads {off} too {'high' if deviation.final > 0.0 else 'low'}"
+        says = f"{deviation.column} " + (f"drifts and {reads} at the record's end," if drifts else reads)
     return Effect(
         kind=told.kind,
-        where=odd.place if told.local else odd.column,
+        where=deviation.place if told.local else deviation.column,
         driver=told.driver,
         change="new",
-        value=odd.final,
+        value=deviation.final,
         unit="K",
-        interval90=(odd.final - spread, odd.final + spread),
-        onset_s=start + odd.shape.onset_s,
+        interval90=(deviation.final - spread, deviation.final + spread),
+        onset_s=start + deviation.shape.onset_s,
         onset_interval90_s=(start + low, start + high),
-        shape=odd.shape.name,
-        confidence=min(odd.share, told.share),
-        z=odd.z,
-        evidence=f"it carries {100.0 * odd.share:.0f} % of what differs among the thermometers of {one.sensor}",
-        says=f"{says} {when(odd.shape, start)}",
+        shape=deviation.shape.name,
+        confidence=min(deviation.share, told.share),
+        z=deviation.z,
+        evidence=f"it carries {100.0 * deviation.share:.0f} % of what differs among the thermometers of {one.sensor}",
+        says=f"{says} {when(deviation.shape, start)}",
     )
 
 
-def _restless(one: Members, odd: Odd, start: float) -> Effect:
+def _intermittent_fault(one: Members, deviation: Deviation, start: float) -> Effect:
     """Return the fault of a thermometer that deviates now and then, with no known form."""
-    onset = start + odd.shape.onset_s
+    onset = start + deviation.shape.onset_s
     return Effect(
         kind="unknown",
-        where=odd.column,
+        where=deviation.column,
         driver="history",
         change="new",
-        value=odd.size,
+        value=deviation.size,
         unit="K",
-        interval90=(-odd.size, odd.size),
+        interval90=(-deviation.size, deviation.size),
         onset_s=onset,
         onset_interval90_s=(onset, onset),
         shape="spell",
         confidence=1.0,
-        z=odd.z,
+        z=deviation.z,
         evidence=f"the other thermometers of {one.sensor} agree with one another",
-        says=f"{odd.column} is off by up to {amount(odd.size, 'K')} now and then, in {100.0 * odd.share:.0f} % of the "
-        f"record, for the first time at {clock(onset)}",
+        says=f"{deviation.column} is off by up to {amount(deviation.size, 'K')} now and then, in "
+        f"{100.0 * deviation.share:.0f} % of the record, for the first time at {clock(onset)}",
     )
 
 
-def _strange(one: Members, odd: Odd, start: float) -> Effect:
+def _unlisted(one: Members, deviation: Deviation, start: float) -> Effect:
     """Return a thermometer with a deviation of no listed form as an effect of its largest deviation."""
     good = one.good
-    off = one.by_itself(one.columns.index(odd.column), one.residual[good])
-    most, onset = float(np.abs(off).max()), start + odd.shape.onset_s
+    off = one.by_itself(one.columns.index(deviation.column), one.residual[good])
+    most, onset = float(np.abs(off).max()), start + deviation.shape.onset_s
     return Effect(
         kind="unknown",
-        where=odd.column,
+        where=deviation.column,
         driver="history",
         change="new",
         value=most,
@@ -343,11 +344,12 @@ def _strange(one: Members, odd: Odd, start: float) -> Effect:
         interval90=(-most, most),
         onset_s=onset,
         onset_interval90_s=(onset, onset),
-        shape=odd.shape.name,
-        confidence=odd.share,
-        z=odd.z,
+        shape=deviation.shape.name,
+        confidence=deviation.share,
+        z=deviation.z,
         evidence=f"the other thermometers of {one.sensor} agree with one another",
-        says=f"{odd.column} differs from its neighbours by up to {amount(most, 'K')} {when(odd.shape, start)}, in no "
+        says=f"{deviation.column} differs from its neighbours by up to {amount(most, 'K')} "
+        f"{when(deviation.shape, start)}, in no "
         "way that is known of a thermometer or of its place",
     )
 
