@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from twin.kernel import clean_time, define_functions, evaluate_formula, hold_inputs, with_stamps
 from twin.network import Array, Network, TwinFileError
-from twin.network.assembly import NetworkEquations, python_source, stateful_source
+from twin.network.assembly import NetworkEquations
+from twin.network.reference_source import python_source, stateful_source
 
 Rhs = Callable[[Array, Array, Array], list[float]]
 

@@ -23,7 +23,8 @@ from twin.kernel.generated_code import (
     evaluate_formula,
 )
 from twin.network import Network, TwinFileError
-from twin.network.assembly import NetworkEquations, python_source, stateful_source
+from twin.network.assembly import NetworkEquations
+from twin.network.reference_source import python_source, stateful_source
 from twin.twinfile import parse
 
 ODD = {

@@ -16,7 +16,8 @@ import numpy as np
 from twin.kernel.delays import delay_layout
 from twin.kernel.generated_code import define_functions
 from twin.network import Array, Network, TwinFileError
-from twin.network.assembly import NetworkEquations, python_source
+from twin.network.assembly import NetworkEquations
+from twin.network.reference_source import python_source
 
 AT_C = 40.0
 """Temperature, degC, at which what is not affine in the temperatures is linearised."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin import Array, Network
 from twin.kernel.generated_code import define_functions
-from twin.network.assembly import python_source
+from twin.network.reference_source import python_source
 
 Rhs = Callable[[Any, Any, Any], list[Any]]
 

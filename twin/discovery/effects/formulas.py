@@ -11,7 +11,8 @@ import numpy as np
 from twin.first_order_lag import recursion
 from twin.kernel import define_functions, evaluate_formula
 from twin.network import Array, Network
-from twin.network.assembly import NetworkEquations, python_source
+from twin.network.assembly import NetworkEquations
+from twin.network.reference_source import python_source
 
 ARRAYS = {"exp": np.exp, "log": np.log, "max": np.maximum, "min": np.minimum}
 """Array functions that replace those of numbers."""

@@ -10,7 +10,7 @@ import numpy as np
 from twin.discovery.effects.formulas import ARRAYS
 from twin.kernel import Kernel, define_functions
 from twin.network import Array, Network, TwinFileError
-from twin.network.assembly import python_source
+from twin.network.reference_source import python_source
 
 MOST = 60
 RESTS_K = 1.0e-7
