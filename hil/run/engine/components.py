@@ -23,15 +23,31 @@ from hil.run.restore import Resumption
 class Options:
     """Options of a run.
 
-    `observer` is given a status a few times a second, `told` every transition as a sentence; `residuals` returns how
-    far twins are off, K. With `resumption` the run goes on where an earlier one was cut, once the rig is back where it
-    was. `watch` gets the values of each tick and may trip the run. `rearm` acknowledges a trip that the rig brings
-    along. `lockstep`: the rig steps only when it is told.
+    Attributes
+    ----------
+    publisher
+        Gets blocks of recorded ticks: calibrators, live diagnosis.
+    observer
+        Gets a status a few times a second.
+    announce
+        Gets every transition as a sentence.
+    residuals
+        Function that returns the residuals of the twins, K.
+    lockstep
+        The rig steps only when the clock grants it.
+    resumption
+        Cut of an earlier run, which continues there once the rig has its temperatures again.
+    rearm
+        Acknowledge a trip that the rig has latched before the run.
+    guard
+        Guardian, which makes the rig safe without this process.
+    watch
+        Gets the values of each tick and may trip the run.
     """
 
     publisher: Publisher | None = None
     observer: Callable[[Status], None] | None = None
-    told: Callable[[str], None] | None = None
+    announce: Callable[[str], None] | None = None
     residuals: Callable[[], Residuals] = dict
     lockstep: bool = False
     resumption: Resumption | None = None
@@ -59,7 +75,7 @@ class Components:
             self.first_tick = resumption.first_tick(clock.period_s)
             self.at = Position(clock.period_s, self.first_tick, resumption.position.profile_s)
         self.recorder = Recorder(
-            journal, self.at, publisher=options.publisher, told=options.told, lockstep=options.lockstep
+            journal, self.at, publisher=options.publisher, announce=options.announce, lockstep=options.lockstep
         )
         self.supervisor = Supervisor(
             self.rig, connection.points, log=self.recorder.transition, note=self.recorder.event

@@ -58,7 +58,7 @@ class Position:
 class Recorder:
     """Recorder of what happens at `position`, in `journal`; it hands blocks of ticks to `publisher`.
 
-    `told` is told every transition as a sentence. `problems` are sentences about what could not be journaled.
+    `announce` gets every transition as a sentence. `problems` are sentences about what could not be journaled.
     """
 
     def __init__(
@@ -67,14 +67,14 @@ class Recorder:
         position: Position,
         *,
         publisher: Publisher | None = None,
-        told: Callable[[str], None] | None = None,
+        announce: Callable[[str], None] | None = None,
         lockstep: bool = False,
     ) -> None:
         self.problems: list[str] = []
         self._journal = journal
         self._at = position
         self._publisher = publisher
-        self._told = told
+        self._announce = announce
         self._lockstep = lockstep
         self._pending: tuple[list[int], list[float], list[list[float]]] = ([], [], [])
         self._published = time.monotonic()
@@ -155,17 +155,17 @@ class Recorder:
             at.tick, at.time_s, at.profile_s, step.source.value, step.event.value, step.target.value, step.reason
         )
         self.event(event_level(step), f"{step.source} → {step.target}: {step.reason}")
-        if self._told is not None:
+        if self._announce is not None:
             # Nothing that a person sees may come between a fault and safe outputs.
             with contextlib.suppress(BaseException):
-                self._told(f"{at.time_s:8.0f} s  {step.target}: {step.reason}")
+                self._announce(f"{at.time_s:8.0f} s  {step.target}: {step.reason}")
 
     def announce(self, level: str, text: str) -> None:
         """Record an event, and show it in the terminal."""
         self.event(level, text)
-        if self._told is not None:
+        if self._announce is not None:
             with contextlib.suppress(Exception):
-                self._told(f"{self._at.time_s:8.0f} s  {text}")
+                self._announce(f"{self._at.time_s:8.0f} s  {text}")
 
     def segment(self, number: int, gap_s: float, aim_tick: int, reason: str) -> None:
         """Record that the run goes on here after a gap; raises JournalError."""

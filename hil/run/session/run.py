@@ -226,7 +226,7 @@ async def _started(stack: contextlib.AsyncExitStack, run: PreparedRun, journal: 
     options = Options(
         publisher=Publishers(tuple(p for p in (tracking, diagnosis) if p is not None)),
         observer=run.observer,
-        told=announce,
+        announce=announce,
         residuals=dict if tracking is None else tracking.off_K,
         lockstep=request.mode == "lockstep",
         resumption=resumption,
