@@ -35,12 +35,15 @@ SURE = 0.8
 WORSE = 1.02
 """Largest ratio of a sensor's held-out error with the effects to that of the re-tuned twin: room for noise alone."""
 LEAST_INTERVAL_S = 60.0
+"""Least interval of diagnoses while a run goes on, s."""
 END_ONLY = "end"
 """Value in place of an interval: diagnose only the whole run, at its end."""
 FINISH_TIMEOUT_S = 900.0
 _LOWEST_PRIORITY = 19
+"""Longest wait for the last diagnosis, s, and niceness of its process."""
 _RESIZED = 0.2
 _SHIFTED_S = 1800.0
+"""Relative change of a size, and change of an onset, s, from which a finding is reported anew."""
 
 
 @dataclass(frozen=True, slots=True)

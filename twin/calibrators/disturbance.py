@@ -39,6 +39,7 @@ RESPONSE_ERROR = 0.1
 """Relative standard error assumed for a lumped volume's response to heat."""
 _PROBE_W = 10.0
 _STATE_STEP = 1e-2
+"""Steps of the lane differences: of a power, W, and of the state, K."""
 
 
 @dataclass(frozen=True)

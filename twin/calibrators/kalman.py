@@ -53,6 +53,7 @@ WALK_J = 10.0
 FIRST_STATE_K = 0.05
 LEAST_STATE_K = 0.02
 WIDEST_STATE_K = 5.0
+"""Standard deviation of a temperature, K: when the filter starts; given the carried state, at least; and at most."""
 SURPRISE = 1.3
 """Root mean square of a segment's normalised innovations above which the parameters' covariance is widened."""
 OPENING = 0.3
@@ -62,6 +63,8 @@ _NUMBERS = ("began", "time", "surprise", "count")
 _INSIDE = 0.999
 _STEP = 1e-4
 _STATE_STEP = 1e-2
+"""Share of the half width of its bounds up to which a parameter is mapped; steps of the lane differences of w, and of
+the state, K."""
 
 
 class BoundedTransform:

@@ -34,6 +34,7 @@ QUIET_SHARE = 0.02
 """Process noise per window, as a share of the full prior, while the live twin's error is that of a healthy one."""
 ROUNDS = 3
 TOLERANCE = 1e-5
+"""Releases of held parameters at most, and relative change of the cost at which a fit has converged."""
 STATE_SD = 0.02
 """Least prior standard deviation of a carried state, K."""
 

@@ -22,6 +22,7 @@ from twin.discovery.records.grid import on_grid
 from twin.network import Network
 
 DRAWS = 40
+"""Healthy records that are drawn by default. A judgement: the tail is extrapolated from them (`scoring.null`)."""
 LEAST_ODDS = -12.0
 """Log odds below which all records count alike; only the upper tail is fitted."""
 

@@ -44,6 +44,7 @@ from twin.network import Array, Network, TwinFileError
 from twin.steady import steady_state
 
 HELD_OUT = 0.25
+"""Share of the record, at its end, that is held out of every fit by default. A judgement."""
 
 
 def diagnose(

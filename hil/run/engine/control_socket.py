@@ -26,12 +26,14 @@ from hil.run.engine.status import Status
 
 LONGEST_LINE = 4096
 ANSWER_WITHIN_S = 20.0
+"""Bytes of a request at most, and longest wait of a client for its answer, s."""
 LATE_S = 15.0
 """A request that was not obeyed for so long is answered all the same, s: less than a client waits for its answer."""
 MOST_CLIENTS = 16
 """Connections at a time: whoever forgets to close theirs must not use up this process's descriptors."""
 IDLE_S = 30.0
 LONGEST_REASON = 200
+"""Time after which an idle connection is closed, s, and characters of a reason at most."""
 
 
 class ControlError(Exception):

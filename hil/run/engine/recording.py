@@ -14,8 +14,11 @@ from hil.journal import JournalError, JournalWriter, SegmentRow, Transition, eve
 _GOOD, _LOST = int(Quality.GOOD), int(Quality.LINK_FAULT)
 PUBLISH_TICKS = 60
 PUBLISH_WALL_S = 0.5
+"""Ticks in a block that is handed to the publisher, and longest time until it is, s."""
 BACKLOG_IN_LOCKSTEP = 2000
+"""Rows in memory from which a run in lockstep waits for the journal."""
 BEHIND_S = 1.0
+"""Delay of the journal from which it is reported to be behind, s."""
 
 
 def with_commands(

@@ -17,6 +17,7 @@ from hil.run.outputs import Descent, GoodReadings, ReadbackDeviations, bind
 from hil.run.restore import ThermalRestore
 
 FIRST_SAMPLE_TIMEOUT_S = 10.0
+"""Longest wait in lockstep for the frames of a step that was granted, s."""
 PAUSED_S = 1.0
 """Ticks that are further apart than this, and than two periods, are reported as a pause of process or machine, s."""
 

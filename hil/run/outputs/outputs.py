@@ -12,6 +12,7 @@ from hil.run.outputs.safing import write_safe
 from hil.run.outputs.setpoints import Setpoints, count_tolerance
 
 ARMING_TICKS = 3
+"""Steps in which a rig may release its trip after it was armed; beyond, it stays tripped."""
 _HELD = 0.01
 """Largest relative difference of a time-out that is read back from the one written: digits that a float loses."""
 

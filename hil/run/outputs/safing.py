@@ -20,6 +20,7 @@ from hil.run.outputs.setpoints import count_tolerance
 
 WRITE_DEADLINE_S = 30.0
 HURRIED_WRITE_DEADLINE_S = 5.0
+"""Time for which a lost link is tried again with the safe values, s of wall time; the same after a second signal."""
 ATTEMPT_S = 3.0
 """Time that one attempt may take beyond the time-outs of a write and its read-back, s: some ten requests of a device
 that answers in 0.3 s."""
@@ -31,6 +32,7 @@ that is waited for that, s of rig time: as long as a second foreign value is wai
 LAST_TRIES = 3
 """So often the last word is tried again: one reply that a busy machine or line delays makes no rig unsafe."""
 RETRY_EVERY_S = 0.1
+"""Interval of these attempts, s."""
 REOPENED_S = 0.2
 """Time in which a connection that a mute device has cost is open again, s: as long as a request to another device on
 the same wire waits for that."""

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from twin.discovery.evidence.finding import Finding
 
 MOST = 8
+"""Blind spots that are listed at most."""
 
 
 def structural_ambiguities(finding: Finding, groups: AmbiguityGroups) -> tuple[str, ...]:

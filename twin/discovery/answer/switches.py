@@ -29,6 +29,8 @@ BEFOREHAND = 0.1
 """Prior odds of a switched source against a plain one."""
 _WITHIN_K = 0.1
 _WITHIN_S = 120.0
+"""Excess of an earlier temperature over a switch's that noise may explain, K, and least half width of an onset, s:
+some noise standard deviations, and twelve bins."""
 
 
 def switched(finding: Finding, grid: Grid, start: float) -> tuple[tuple[Alternative, str], ...]:

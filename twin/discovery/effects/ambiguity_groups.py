@@ -22,7 +22,9 @@ from twin.network import Array, Network
 from twin.steady import steady_state
 
 ALIKE = 0.999
+"""Correlation of two signatures from which they form a group: a large effect shows the thousandth between them."""
 HOURS, ONSET = 8.0, 0.25
+"""Length, h, of the record on which all drives step through their ranges, and share of it at which effects begin."""
 REST, AT_REST = (0.45, 0.78), 0.05
 """Part of the run in which heaters rest, and their power then, as shares."""
 INLET_K = 20.0

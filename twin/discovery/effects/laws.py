@@ -21,7 +21,9 @@ from twin.elements.law import LawReading
 from twin.network import Array, Network
 
 LEAST_W = 1e-9
+"""Largest heat of a law at its typical size, W, below which it acts on nothing in a record: rounding."""
 SMOOTH_S = 3600.0
+"""Time over which the residual at a sensor is smoothed before it corrects a simulated temperature, s."""
 BESIDE_K = 2.5
 """Distance of the level at which a thermometer sticks from temperatures that its place has had, K: effects that the
 twin lacks move them. A judgement."""

@@ -25,11 +25,15 @@ from twin.network import Array, InputSpec, Network
 from twin.segments import restarted_states, separate_columns, simulate_segments
 
 FIRST_BINS = 6
+"""Bins of a segment, a minute, whose readings give the first guess of its initial state."""
 SETTLE_BINS = 90
+"""Bins of a segment, a quarter of an hour, to whose readings its initial state is fitted."""
 KEPT = 4
+"""Results in the cache."""
 _STEP = 1.0e-4
 _STATE_STEP = 1.0e-2
 _PROBE_W = 10.0
+"""Steps of the lane differences: of z, of the state, K, and of heat, W. The response to heat is linear or nearly so."""
 _LEAST_WAY = 1.0e-9
 """Least share of the greatest difference of a state that is kept."""
 

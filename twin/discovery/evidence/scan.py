@@ -39,6 +39,7 @@ TOGETHER = 32
 LEADING_TURNS, STARTS = 8, 8
 """Periodic courses of a law whose squares are computed exactly, and onsets from which it may return."""
 _TINY = 1e-12
+"""Share of the largest squares below which squares are rounding."""
 
 
 def scan(

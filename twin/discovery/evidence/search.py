@@ -27,6 +27,7 @@ from twin.elements.candidates import TRANSIENT
 LEADING = 24
 """Single effects that are tried as members of a pair; a prototype missed true pairs with five."""
 MOST_EFFECTS = 3
+"""Effects in a set at most. A judgement: each further one is a twentieth as likely (`FAULT`)."""
 BESIDE = 6
 """Further effects that are tried with each."""
 PER_CLASS = 3

@@ -29,6 +29,7 @@ from twin.network import Array, Network, TwinFileError
 EVERY = 4
 """One steady state of so many is held out, and that share of a record's end."""
 MOST_BLOCKS = 240
+"""Blocks of the residuals that are drawn, as in a diagnosis with a healthy record."""
 LONGEST = 4000
 """Samples up to which a twin is grown without being asked: each hypothesis is simulated, and a longer record takes
 hours."""

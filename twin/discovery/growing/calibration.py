@@ -20,6 +20,7 @@ from twin.discovery.growing.likelihood import Spectrum, table
 from twin.discovery.growing.scoring import answer_of, scores
 
 DRAWS = 100
+"""Records drawn from noise alone: their largest score is one that chance reaches once in a hundred."""
 TAIL = 3.14
 """Standard deviations above its mean of the 99 % quantile of a maximum (Gumbel)."""
 

@@ -31,7 +31,9 @@ from twin.network import Array, Network, TwinFileError
 from twin.quantiles import NORMAL90
 
 MOST_EFFECTS = 4
+"""Effects that are added at most."""
 MOST_SAMPLES = 4000
+"""Samples of a record at most; a longer one is averaged. It bounds the time of a growth."""
 CHANCE = 3.0
 """Standard deviations of a mean square up to which a difference is insignificant."""
 FEWEST, FEWEST_SAMPLES = 12, 40

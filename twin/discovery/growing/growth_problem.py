@@ -28,6 +28,7 @@ REACH, REACH_SIZE = 1.0, 2.0
 _STEP = 1.0e-4
 _STATE_STEP = 1.0e-2
 _SIZE_STEP = 1.0e-3
+"""Steps of the differences: of z, of the state, K, and of a size, in typical sizes."""
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ RATIO = 1.5
 """Ratio of the end of a band to that of the next one; the likelihood is summed by bands."""
 WHITE = 1.5 ** np.arange(12)
 SLOW = np.concatenate([[0.0], 2.0 ** np.arange(-2.0, 22.0)])
+"""Levels of white noise and of slow error that are tried, over the declared variance."""
 CORNERS = 14
 """Values of w, of a, and the number of values of k0 that are tried."""
 

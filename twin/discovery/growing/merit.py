@@ -31,6 +31,7 @@ REFUSED = 6
 FOLDS, PIECES = 4, 12
 """Folds of the cross-validation, and pieces of the record that are assigned to them in turn."""
 BETTER_FOLDS = 3
+"""Folds that an effect has to predict no worse than the set without it."""
 MOSTLY = 0.5
 """Share of the squares beyond noise that may be left if most is explained."""
 REST = 0.1

@@ -24,6 +24,7 @@ MOST = 3.0
 SHARES = (0.1, 0.3, 0.6, 0.95)
 """Shares of the largest possible size at which an effect that is nonlinear in its size is simulated."""
 ASKED = 5
+"""Rounds in which a size is sought that changes the readings by as much as the residual."""
 
 
 @dataclass(frozen=True)

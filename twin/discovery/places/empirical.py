@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 BETTER = 0.8
 """Share of the re-tuned twin's squared held-out error below which a curve is offered."""
 _LEAST_SPREAD = 0.02
+"""Spread of a variable, over its largest value, below which no curve over it is identifiable."""
 
 
 @dataclass(frozen=True)

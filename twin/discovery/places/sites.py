@@ -29,6 +29,7 @@ SPOKEN = {
     "sensor": "a reading in error",
 }
 TYPICAL_W, TYPICAL_K = 20.0, 0.2
+"""Typical sizes of an unknown heat, W, and of an unknown reading error, K, as of the catalogue's constant ones."""
 RARER = 0.95
 """Share of its evidence that counts of an error of the room's thermometer, which imitates nearly all unlisted errors of
 a radiator, and of a flow that passes a place, which imitates those of its thermometer: both are rarer."""

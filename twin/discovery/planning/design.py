@@ -25,11 +25,15 @@ from twin.gauss_newton import GaussianPrior
 from twin.network import Array
 
 SEGMENT_S = 1800.0
+"""Time for which the levels of an experiment are held, s."""
 LEAST_SEGMENTS, MOST_SEGMENTS = 4, 16
+"""Length of an experiment in such segments: two to eight hours."""
 NEARLY = 0.03
 """Share of a sufficient difference below which further gain counts in proportion, and above which it saturates."""
 BLOCK_S = 300.0
+"""Length of a block of an experiment, s: about that of a record of a day."""
 _STEP, _STATE_STEP, _SIZE_STEP = 1.0e-4, 1.0e-2, 1.0e-2
+"""Steps of the differences: of z, of the state, K, and of a size, in typical sizes."""
 _FREE = 1.0e-12
 """Prior precision of a size, a flat prior: only the change of a reading over time is informative."""
 

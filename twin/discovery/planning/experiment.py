@@ -28,6 +28,7 @@ LEAST_RANGE = {"W": (0.5, 1.1), "pct": (0.7, 1.2)}
 LEAST_PERCENT = 30.0
 """Least planned speed of a pump or fan, %, unless it has been slower before."""
 MOST_CAUSES = 8
+"""Causes that an experiment is planned for, the likeliest ones: their pairs are compared one by one."""
 SETTLED = 1.5
 """Multiple of the equivalence width that a planned record must add to exclude a wrong cause."""
 WIDEN = 4.0

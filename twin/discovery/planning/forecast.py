@@ -21,6 +21,7 @@ from twin.elements.candidates import Candidate
 from twin.network import Array, Network
 
 CONFUSED = 0.98
+"""Correlation of two signatures from which a record cannot separate two large effects."""
 CLEAR = 6.0
 """Score at which an effect is detectable on any record."""
 LARGE = 5.0

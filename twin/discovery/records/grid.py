@@ -17,6 +17,7 @@ from twin.network import Array, Network, TwinFileError
 from twin.segments import find_segments, segment_rows
 
 BIN_S = 10.0
+"""Length of a bin of the grid, s, or the record's own step if that is longer."""
 MOST_BINS = 10_800
 """Bins up to which they keep their length; effects in records of days are resolved by blocks of minutes."""
 

@@ -9,6 +9,7 @@ import numpy as np
 from twin.network import Array
 
 STUCK_S = 900.0
+"""Time of one exact value from which a reading may be stuck, s."""
 STUCK_SAMPLES = 60
 """Equal readings in a row that make a noisy thermometer stuck."""
 LEAST_FLICKER = 0.4

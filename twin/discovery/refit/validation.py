@@ -23,6 +23,7 @@ from twin.discovery.scoring.score_tests import ScoreTest
 from twin.network import Array
 
 BLOCKS = 4
+"""Cross-validation folds."""
 REACH = 20.0
 """Prior range of a size, in typical sizes."""
 TOLD = 3.0

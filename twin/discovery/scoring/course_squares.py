@@ -38,6 +38,7 @@ FADING = ("pulse", "put in")
 _WINDOWS = (1, 2, 4)
 """Windows in a phase of a period: duties are quarters of it."""
 _ROUNDING = 1e-9
+"""Distance from a block edge, in blocks, within which an onset is on it."""
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from twin.discovery.scoring.search import Entry
 
 LEAST_WEIGHT = 0.003
+"""Posterior probability above which an explanation stays in the ambiguity group."""
 OPEN = 0.15
 """Posterior probability from which another driver of the same effect justifies an experiment."""
 SHARE = 0.003

@@ -19,11 +19,13 @@ from twin.discovery.scoring.sweep import Courses
 from twin.network import Array
 
 DRAWS = 128
+"""Residuals drawn from noise; their largest scores give the quantile of the threshold."""
 EVERY = 2
 """Step between the scanned onsets: every one of them would hardly raise the highest score of noise."""
 FALSE_ALARMS = 0.01
 """Share of healthy records that may have another verdict than adequate, over the whole catalogue."""
 _TINY = 1e-12
+"""Share of the largest squares below which squares are rounding."""
 
 
 @dataclass(frozen=True)

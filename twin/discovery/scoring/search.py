@@ -26,6 +26,7 @@ CAME_IN_SHARE = 0.1
 ACTUATED = ("heater_power", "pump_speed", "fan_speed")
 """Drivers that an effect follows even if it grows too: an input explains more than time does."""
 _TINY = 1e-12
+"""Share of the largest squares below which squares are rounding."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from twin.network import Array
 LAST_SHARE = 0.95
 """Share of the record up to which onsets are tried; an effect needs some time to show."""
 _KNOWN = 1e-10
+"""Share of the largest eigenvalue below which a direction of given effects is rounding."""
 FADING_S = (60.0, 600.0, 3600.0)
 """Time constants of pulses that are tried, s: water that is poured in, a wall, a room."""
 LEAST_BLOCKS, LEAST_TURNS, PERIODS, PHASES = 3.0, 2.0, 40, 12
@@ -32,6 +33,7 @@ RATES = 3.0
 """Frequencies of periodic courses per inverse record length: with three, the nearest one deviates by a sixth of a
 period at the record's end, if it agrees at the beginning."""
 DUTIES = (0.25, 0.5, 0.75)
+"""Shares of a period in which a periodic effect is present that are tried."""
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,13 @@ from twin.network import Array, Network, TwinFileError
 from twin.network.reference_source import python_source
 
 MOST = 60
+"""Newton steps at most."""
 RESTS_K = 1.0e-7
+"""Largest step at which a state is steady, K."""
 LONGEST_K = 50.0
+"""Longest step of a temperature, K: rates are not linear further off."""
 _PROBE_K = 1.0e-3
+"""Step of the differences, K."""
 
 
 class SteadyStates:
