@@ -14,19 +14,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import norm
-from scipy.stats import t as student_t
 
-from twin.historian.defects.panel import RobustPredictor, TagPanel, design_matrix, known_median, panel
+from twin.historian.defects.panel import RobustPredictor, TagPanel, design_matrix, panel
 from twin.historian.defects.unit_edges import Edge, TagLevels, unit_edges
+from twin.historian.defects.unit_evidence import (
+    AT_REST,
+    MOSTLY,
+    ROUNDS,
+    evidence_of_rows,
+    is_of_the_unit,
+    rows_inside,
+)
 from twin.historian.tags import Array, Defect, Mask, Series
 from twin.historian.units import Unit, alternatives, full_speed_of, tens, unit_of
 
 LEAST_S = 2.0 * 3600.0
+"""Length of a span at least, s."""
 CAP = 0.75
 """Largest evidence of a quarter of an hour, a log likelihood ratio: 3 an hour, as neighbours are correlated."""
-ROWS_AN_HOUR = 4.0
 LEAST_ODDS = 12.0
 """Log odds of a switch, less those of the pairs of edges that are tried: 7 are a thousand to one; 5 more for the tags
 and units of a station."""
@@ -34,32 +39,6 @@ SURE_EDGES = 8.0
 """Log odds of the edges alone from which a poor prediction of the span suffices."""
 UNWITNESSED = ("wind_speed", "wind_direction")
 """Roles that nothing else at a station follows: only their edges count."""
-CLEAR, CLEAR_ENOUGH = 0.25, 0.5
-"""Largest median distance from the prediction, of the right unit, as a share of that of the wrong one; and with sure
-edges."""
-MOSTLY = 0.8
-"""Share of the rows in which the right unit is nearer."""
-EXPLAINS = 0.3
-"""Share of what the switch moves, in the span or the rest, if shorter, by which all rows are worse predicted without
-it."""
-OTHER_FACTOR, SCATTERS = 0.12, 2.0
-"""Share of what the switch moves, and deviations of the rows, by which the converted span may be apart from the rest:
-5 % of a fan's speed in Hz, 4 % of a power in hp."""
-SPANS = float(np.log(2.0))
-"""Standard deviation of the logarithm of the factor of a changed range: usually a half to a double span."""
-PARTS = 3, 5
-"""Parts of the record outside a span, about as long as it, by which a factor is known: fewest and most."""
-ROUNDED = 0.005
-"""Scatter of a factor at best: converted values are stored with two or three digits."""
-TWENTY_TO_ONE = 3.0
-"""Log odds from which a factor is that of a unit (Kass & Raftery); below, nothing is converted."""
-FEWEST_ROWS = 8
-"""Rows of a quarter of an hour at work by which a span is judged: `LEAST_S`."""
-OUTSIDE = 0.7
-"""The same of the longer of the two, the span and the rest: there small values of a poorly predicted tag, such as the
-wind, tell little."""
-AT_REST = 0.1
-"""Share of the largest change by a unit below which a row tells nothing of it: the quantity is at rest."""
 LEAPS = 3.0
 """Log odds from which a jump of another tag at the same time makes it no witness."""
 TOGETHER_S = 3600.0
@@ -67,13 +46,13 @@ TOGETHER_S = 3600.0
 VOLUME = frozenset({"L/s", "l/s", "m3/h", "m³/h", "m3/s", "L/min", "gpm"})
 DECIMAL = frozenset({"mass flow", "power", "pressure"})
 """Dimensions whose scale may move by a decimal place: controllers hold whole numbers of such a quantity, and a table of
-registers that is read with another number of places is ten times off. No other range is (`SPANS`)."""
+registers that is read with another number of places is ten times off. No other range is (`unit_evidence.SPANS`)."""
 DECADE = 5.0
 """Factor from which the larger of two scales that the datasheet allows is taken."""
 SAME = 0.97
 """Share of the log odds of the most probable unit, from which another is not told from it: the more common is named."""
-STARTS, ROUNDS = 3, 3
-"""Spans from which the likeliest one is sought, and how often its prediction is made anew from each."""
+STARTS = 3
+"""Spans from which the likeliest one is sought; its prediction is made anew some times from each (`ROUNDS`)."""
 MOST = 6
 """Rounds over all tags, so switches of a tag, at most."""
 
@@ -327,7 +306,7 @@ def _best_span(
 
     def of_rows(first: int, last: int) -> tuple[Array, float]:
         if (first, last) not in predictions:
-            predictions[first, last] = predict(np.where(_inside(len(x), (first, last)), other, x))
+            predictions[first, last] = predict(np.where(rows_inside(len(x), (first, last)), other, x))
         return predictions[first, last]
 
     spans = [(int(first), int(last)) for first, last in rows]
@@ -347,8 +326,10 @@ def _best_span(
         low, high, odds_of = pairs[at]
         if odds_of < SURE_EDGES and table.series[k].tag.role in UNWITNESSED:
             continue
-        inside, predicted = _inside(len(x), spans[at]), of_rows(*spans[at])[0]
-        odds_of_rows = _judged(x, other, (plain[0], predicted), inside, unit.scale / own.scale, odds_of >= SURE_EDGES)
+        inside, predicted = rows_inside(len(x), spans[at]), of_rows(*spans[at])[0]
+        odds_of_rows = evidence_of_rows(
+            x, other, (plain[0], predicted), inside, unit.scale / own.scale, odds_of >= SURE_EDGES
+        )
         total_odds = odds_of + odds_of_rows - float(np.log(len(pairs)))
         if total_odds >= LEAST_ODDS:
             valid.append((total_odds, low, high))
@@ -360,116 +341,3 @@ def _best_span(
     if by_factor and not is_of_the_unit(x, other, inside, predict.matrix):
         return None
     return _Span(unit, name, low, high, most)
-
-
-def is_of_the_unit(x: Array, converted: Array, inside: Mask, witnesses: Array) -> bool:
-    """Return whether a span of a tag is in another unit rather than in another range of any factor.
-
-    A unit's factor is exact. The factor that the span needs beyond it is known as well as that of other parts of the
-    record, which need none (Student's distribution). A range's factor is as probable as `SPANS` has it.
-
-    Parameters
-    ----------
-    x, converted
-        Readings (m,) as they stand, and as converted from the other unit by its factor.
-    inside
-        Rows of the span (m,).
-    witnesses
-        What predicts the tag (m, k).
-    """
-    value = np.where(inside, converted, x)
-    if not np.isfinite(value).any():
-        return False
-    value = np.where(value > AT_REST * float(np.nanquantile(value, 0.95)), value, np.nan)
-    span, rest = (np.flatnonzero(np.isfinite(value) & part) for part in (inside, ~inside))
-    if len(span) < FEWEST_ROWS or len(rest) < FEWEST_ROWS * PARTS[0]:
-        return False
-    predict = RobustPredictor(witnesses)
-    apart = _log_factor(value, span, predict)
-    if not np.isfinite(apart):
-        return False
-    right = np.where(inside, np.nan, value)
-    parts = np.array_split(rest, int(np.clip(len(rest) // len(span), *PARTS)))
-    usual = 1.4826 * known_median(np.abs([_log_factor(right, part, predict) for part in parts]))
-    scale = max(usual, ROUNDED)
-    ratio = float(np.log(known_median(x[span] / converted[span])))
-    of_unit = student_t.logpdf(apart / scale, len(parts)) - np.log(scale)
-    return bool(of_unit - norm.logpdf(ratio + apart, scale=SPANS) >= TWENTY_TO_ONE)
-
-
-def _log_factor(value: Array, rows: NDArray[np.intp], predict: RobustPredictor) -> float:
-    """Return the logarithm of the factor of some rows of values (m,) over what the others and the witnesses predict;
-    infinite if they predict nothing above zero there."""
-    factor = 0.0
-    for _ in range(ROUNDS + 1):
-        again = value.copy()
-        again[rows] *= np.exp(-factor)
-        predicted, _ = predict(again)
-        there = predicted[rows]
-        if not (there > 0.0).any():
-            return np.inf
-        factor = float(np.median(np.log(value[rows][there > 0.0] / there[there > 0.0])))
-    return factor
-
-
-def _inside(n: int, rows: tuple[int, int]) -> Mask:
-    mask = np.zeros(n, dtype=bool)
-    mask[rows[0] : rows[1]] = True
-    return mask
-
-
-def _judged(x: Array, other: Array, fits: tuple[Array, Array], inside: Mask, slope: float, sure: bool) -> float:
-    """Return the evidence of the rows for a switch; none if the converted values do not go with their prediction.
-
-    The evidence is a log likelihood ratio of Cauchy's distribution about the prediction with the switch to that
-    without; `slope` is what the conversion does to the density of the values. Rows whose errors are alike count once.
-    """
-    plain, predicted = fits
-    right, wrong = np.where(inside, other, x) - predicted, np.where(inside, x, other) - predicted
-    before = x - plain
-    known = np.isfinite(before) & np.isfinite(right) & np.isfinite(other)
-    moved = np.abs(x - other)
-    parts = [known & part for part in (inside, ~inside)]
-    work = [part & (moved > AT_REST * np.max(moved[part], initial=0.0)) for part in parts]
-    small = int(work[1].sum() < work[0].sum())
-    limits = (CLEAR_ENOUGH if sure else CLEAR, MOSTLY), (OUTSIDE, 0.5)
-    for rows, (limit, mostly) in zip((work[small], work[1 - small]), limits, strict=True):
-        if not _clear(right[rows], wrong[rows], limit, mostly):
-            return -np.inf
-    # Another factor than the unit's leaves the span apart from the rest: that is a change of range.
-    apart = abs(float(np.median(right[work[0]]) - np.median(right[work[1]])))
-    scatter = max(float(np.median(np.abs(right[part] - np.median(right[part])))) for part in work)
-    if apart > max(OTHER_FACTOR * float(np.median(moved[work[0]])), SCATTERS * scatter):
-        return -np.inf
-    # Witnesses that moved as the tag did explain it as it stands.
-    at_work = work[0] | work[1]
-    gained = float(np.abs(before[at_work]).sum() - np.abs(right[at_work]).sum())
-    if gained < EXPLAINS * float(moved[work[0]].mean()) * float(work[small].sum()):
-        return -np.inf
-    ratio = _surprise(before[at_work]) - _surprise(right[at_work]) + float(work[0].sum()) * np.log(slope)
-    return ratio / _rows_alike(right[known])
-
-
-def _surprise(error: Array) -> float:
-    """Return the sum of minus the log density of errors, by Cauchy's distribution of their own scale."""
-    scale = max(float(np.median(np.abs(error))), 1e-9)
-    return float(np.sum(np.log(scale) + np.log1p((error / scale) ** 2)))
-
-
-def _rows_alike(error: Array) -> float:
-    """Return after how many rows an error is a new one: at least an hour, more if it lasts."""
-    far = 3.0 * max(float(np.median(np.abs(error))), 1e-9)
-    small = np.clip(error, -far, far)
-    small = small - small.mean()
-    power = float((small**2).sum())
-    alike = float((small[1:] * small[:-1]).sum()) / power if power > 0.0 else 0.0
-    alike = min(max(alike, 0.0), 0.999)
-    return max((1.0 + alike) / (1.0 - alike), ROWS_AN_HOUR)
-
-
-def _clear(right: Array, wrong: Array, limit: float, mostly: float) -> bool:
-    """Return whether the values in the right unit lie near the prediction, those in the wrong one far off."""
-    if len(right) < FEWEST_ROWS:
-        return False
-    near, far = float(np.median(np.abs(right))), float(np.median(np.abs(wrong)))
-    return near < limit * far and float(np.mean(np.abs(right) < np.abs(wrong))) > mostly

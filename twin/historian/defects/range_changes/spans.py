@@ -10,7 +10,8 @@ import numpy as np
 from twin.historian.defects.panel import TagPanel
 from twin.historian.defects.range_changes.maps import BACK, Leap
 from twin.historian.defects.range_changes.readings import canonical
-from twin.historian.defects.unit_switch import Switch, is_of_the_unit, other_units, witnesses_of
+from twin.historian.defects.unit_evidence import is_of_the_unit
+from twin.historian.defects.unit_switch import Switch, other_units, witnesses_of
 from twin.historian.tags import Defect, Series
 from twin.historian.units import unit_of
 
