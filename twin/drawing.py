@@ -15,7 +15,10 @@ from typing import Any
 from twin.elements import Element
 from twin.elements.actuator import Actuator
 from twin.elements.flow import Flow
-from twin.elements.law import Law, LawActuator, LawFlow, LawReading
+from twin.elements.law import Law
+from twin.elements.law_actuator import LawActuator
+from twin.elements.law_flow import LawFlow
+from twin.elements.law_reading import LawReading
 from twin.elements.meter import Meter
 from twin.elements.pipe import Pipe
 from twin.elements.sensor import Sensor

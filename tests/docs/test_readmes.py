@@ -14,7 +14,7 @@ PACKAGES = sorted(
     for path in (PROJECT / top).rglob("__init__.py")
 )
 MOST_MODULES = 12
-ONE_FILE_A_KIND = {"twin/elements": 27}
+ONE_FILE_A_KIND = {"twin/elements": 34}
 """Packages with more modules: one a kind of element."""
 
 

@@ -1,7 +1,8 @@
 """General laws: an effect at a site that follows any driver by any form and time course.
 
-A law is an effect without a named cause: a site (one of the kinds below), a driver x, a form and a time course, with
-the vocabulary of `law_forms`. x is an input column or a temperature, less another temperature where one is named.
+A law is an effect without a named cause: a site, a driver x, a form and a time course, with the vocabulary of
+`law_forms`. Each site is a kind of its own, in a file of its name. x is an input column or a temperature, less another
+temperature where one is named.
 
     law_heat         value W into a node; with `source`, taken out of that node
     law_fluid        value kg/s of a fluid into a node whose volume overflows: cp value (temperature - T)
@@ -29,7 +30,7 @@ from typing import ClassVar
 
 from twin.column_names import UNITS_OF_SUFFIX
 from twin.elements.base import STAMP, Element, Names, ParameterSpec, place
-from twin.elements.candidates import TRANSIENT, Candidate, Sites, input_target
+from twin.elements.candidates import input_target
 from twin.elements.fragments import ElementState, Fragment, SampleMemory
 from twin.elements.law_forms import (
     COURSES,
@@ -47,16 +48,10 @@ LIMITS = {"W": 1.0e5, "kg/s": 10.0, "W/K": 1.0e4, "K": 1.0e3, "1": 1.0e3, "L/min
 """Largest value of a law that follows a temperature, by its unit; for heat also that of a conductance law."""
 STEEPEST = 1.0e5
 """Largest slope for which the kernel shortens its steps, W/K; a steeper law only switches between its limits."""
-MOST_FLOW = 1.0e4
-"""Largest flow after a change in L/min, as much as the bounds of a flow allow with some to spare."""
 MOST_SHARE = 9.0
 """Largest relative increase of a flow or of an actuator's output."""
 REMEMBERING = ("memory", "rate")
-FILLED_IN = {"cold": (10.0, ""), "hot": (60.0, ", or as much heat")}
-"""Temperature of water from the mains and from a boiler, degC, and what else it may be. A record tells the product of
-its amount and of how far it is from the rig's temperature."""
-TYPICAL_FILLING, MOST_FILLING = 1.0 / 60.0, 10.0
-"""A litre a minute, and a bucket in a second, kg/s."""
+"""Forms that depend on the past of their driver."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,219 +206,6 @@ class Law(Element):
         return Fragment(sample=tuple(own), memories=self.memories(n))
 
 
-@dataclass(frozen=True)
-class LawHeat(Law):
-    """Heat into a node, from outside or out of another node."""
-
-    kind: ClassVar[str] = "law_heat"
-    linear: ClassVar[bool] = False
-    unit: ClassVar[str] = "W"
-    most: ClassVar[float] = 1.0e5
-    total: ClassVar[tuple[str, float]] = ("J", 1.0e9)
-
-    node: str = place("node", "node that receives the heat")
-    source: str = place("node", "node out of which the heat is taken, left out for heat from outside", default="")
-
-    def own_nodes(self) -> tuple[str, ...]:
-        return (self.node, self.source)
-
-    def problem(self, values: Mapping[str, float]) -> str | None:
-        return "source names the node itself" if self.source == self.node else super().problem(values)
-
-    def emit(self, n: Names) -> Fragment:
-        if self.absent(n):
-            return Fragment()
-        parts, value = self.parts(n), n.local("value")
-        heat = {self.node: value} | ({self.source: f"-{value}"} if self.source else {})
-        own = {node: n.local("slope") for node in heat if self.follows_temperature and node in (self.of, self.minus)}
-        return _with_heat(parts, heat, own)
-
-
-@dataclass(frozen=True)
-class LawFluid(Law):
-    """Fluid of a given temperature that enters a node and displaces as much of its content."""
-
-    kind: ClassVar[str] = "law_fluid"
-    unit: ClassVar[str] = "kg/s"
-    most: ClassVar[float] = 1.0e3
-    total: ClassVar[tuple[str, float]] = ("kg", 1.0e4)
-
-    node: str = place("node", "node that the fluid enters")
-
-    @classmethod
-    def missing_candidates(cls, sites: Sites) -> tuple[Candidate, ...]:
-        """Return water that is filled in for a time where water flows."""
-        wet, known = {*sites.before, *sites.before.values()}, {e.name for e in sites.having(cls.kind)}
-        return tuple(
-            Candidate(
-                "heat_source",
-                sites.places[node],
-                "constant",
-                "new",
-                {f"{name}.size": 1.0},
-                "kg/s",
-                TYPICAL_FILLING,
-                0.0,
-                MOST_FILLING,
-                f"gets {{value}} of {word} water (of {temperature:.0f} degC, or more of less {word} water{otherwise})",
-                adds={name: {"kind": cls.kind, "node": node, "temperature": temperature}},
-                shapes=TRANSIENT,
-            )
-            for node in sites.nodes
-            if node in wet
-            for word, (temperature, otherwise) in FILLED_IN.items()
-            if (name := f"{word}_water_into_{node}") not in known
-        )
-
-    def own_nodes(self) -> tuple[str, ...]:
-        return (self.node,)
-
-    def own_specs(self) -> tuple[ParameterSpec, ...]:
-        return (
-            ParameterSpec("temperature", "degC", None, -50.0, 200.0, "fixed", "of the fluid that enters"),
-            ParameterSpec("cp", "J/(kg K)", 4180.0, 500.0, 5000.0, "fixed", "water at 30 degC, IAPWS-95"),
-        )
-
-    def problem(self, values: Mapping[str, float]) -> str | None:
-        if self.follows_temperature:
-            return "a fluid follows an input column; a temperature can only switch it (form 'threshold')"
-        return super().problem(values)
-
-    def emit(self, n: Names) -> Fragment:
-        if self.absent(n):
-            return Fragment()
-        mcp = n.local("mcp")
-        parts = self.parts(n)
-        capacity_flow = (mcp, f"max({n.local('value')}, 0.0) * {n.par('cp')}")
-        heat = {self.node: f"{mcp} * ({n.par('temperature')} - {n.temperature(self.node)})"}
-        return Fragment(
-            sample=(*parts.sample, capacity_flow), heat=heat, conductance={self.node: mcp}, memories=parts.memories
-        )
-
-
-@dataclass(frozen=True)
-class LawConductance(Law):
-    """Conductance, or the change of one, between a node and another node or an input column."""
-
-    kind: ClassVar[str] = "law_conductance"
-    linear: ClassVar[bool] = False
-    unit: ClassVar[str] = "W/K"
-    most: ClassVar[float] = 1.0e4
-
-    node: str = place("node", "node that exchanges heat")
-    to: str = place("node", "node on the other side", default="")
-    ambient: str = place(
-        "input", "input column with the temperature on the other side instead", unit="degC", default=""
-    )
-
-    def own_nodes(self) -> tuple[str, ...]:
-        return (self.node, self.to)
-
-    def own_inputs(self) -> tuple[str, ...]:
-        return (self.ambient,)
-
-    def problem(self, values: Mapping[str, float]) -> str | None:
-        if bool(self.to) == bool(self.ambient):
-            return "give either a node (to) or an input column (ambient) for the other side"
-        if self.to == self.node:
-            return "both sides are the same node"
-        return super().problem(values)
-
-    def emit(self, n: Names) -> Fragment:
-        if self.absent(n):
-            return Fragment()
-        parts, g, most, q = self.parts(n), n.local("value"), LIMITS["W"], n.local("q")
-        away = n.temperature(self.to) if self.to else n.input(self.ambient)
-        # A negative conductance feeds itself: it needs a limit.
-        exchange = (q, f"min(max({g} * ({away} - {n.temperature(self.node)}), -{most!r}), {most!r})")
-        bound = n.local("bound")
-        largest = (
-            f"min({n.local('slope')} * 200.0, {LIMITS['W/K']!r})" if self.follows_temperature else f"max({g}, -{g})"
-        )
-        heat = {self.node: q} | ({self.to: f"-{q}"} if self.to else {})
-        more = Fragment(
-            sample=(*parts.sample, (bound, largest)),
-            stage=(*parts.stage, exchange),
-            states=parts.states,
-            memories=parts.memories,
-        )
-        return _with_heat(more, heat, dict.fromkeys(heat, bound))
-
-
-@dataclass(frozen=True)
-class LawFlow(Law):
-    """Change of the flow of a `flow` element, as a share of it or in L/min."""
-
-    kind: ClassVar[str] = "law_flow"
-    unit: ClassVar[str] = "1"
-    most: ClassVar[float] = 1.0e3
-
-    flow: str = place("element", "flow element that is changed", kinds=("flow",))
-    change_in: str = place("choice", "unit of the value", choices=("share", "L_min"), default="share")
-
-    def unit_of_value(self) -> str:
-        return "1" if self.change_in == "share" else "L/min"
-
-    def problem(self, values: Mapping[str, float]) -> str | None:
-        if self.follows_temperature and self.form in REMEMBERING:
-            return f"a flow has no form {self.form!r} of a temperature; it follows one as it is at each sample"
-        return super().problem(values)
-
-    def changes(self) -> str:
-        return self.flow
-
-    def change(self, n: Names) -> str:
-        if self.absent(n):
-            return ""
-        value = n.local("value")
-        if self.change_in == "L_min":
-            return f"min(max({{flow}} + {value} / 60.0, 0.0), {MOST_FLOW / 60.0!r})"
-        return f"{{flow}} * min(max(1.0 + {value}, 0.0), {1.0 + MOST_SHARE!r})"
-
-    def emit(self, n: Names) -> Fragment:
-        if self.absent(n):
-            return Fragment()
-        if not self.follows_temperature:
-            return self.parts(n)
-        x, held = self.driver_text(n), n.local("held")
-        return Fragment(
-            sample=((n.local("value"), self.value_text(n, held, "")),), memories=(SampleMemory("held", x, held, x),)
-        )
-
-
-@dataclass(frozen=True)
-class LawReading(Law):
-    """Change of the reading of a sensor; nothing but the reading depends on it."""
-
-    kind: ClassVar[str] = "law_reading"
-    unit: ClassVar[str] = "K"
-    most: ClassVar[float] = 1.0e3
-
-    sensor: str = place("element", "sensor whose reading is changed", kinds=("sensor",))
-
-    def problem(self, values: Mapping[str, float]) -> str | None:
-        if self.follows_temperature and self.form in REMEMBERING:
-            return f"a reading has no form {self.form!r} of a temperature; the lag of a thermometer is its lag_s"
-        return super().problem(values)
-
-    def changes(self) -> str:
-        return self.sensor
-
-    def change(self, n: Names) -> str:
-        if self.absent(n):
-            return ""
-        x, memory = self.driver_text(n), ""
-        # A reading is taken at the sample: the switch looks there, and z has come to the end of the interval before.
-        if self.form == "threshold":
-            memory = f"({switch_text(x, n.par, n.before('switch'))[0]})"
-        elif self.form in REMEMBERING:
-            memory = n.before("z")
-        return self.value_text(n, x, memory)
-
-    def emit(self, n: Names) -> Fragment:
-        return Fragment() if self.absent(n) else Fragment(memories=self.memories(n))
-
-
 @dataclass(frozen=True, kw_only=True)
 class LawOfInput(Law):
     """Change of what the twin is given of an input column, which needs an element of kind actuator."""
@@ -455,36 +237,8 @@ class LawOfInput(Law):
         return Fragment() if self.absent(n) else Fragment(memories=self.memories(n))
 
 
-@dataclass(frozen=True)
-class LawActuator(LawOfInput):
-    """Relative change of the output of an actuator: 0.1 for a tenth more than commanded."""
-
-    kind: ClassVar[str] = "law_actuator"
-    unit: ClassVar[str] = "1"
-    most: ClassVar[float] = 1.0e3
-
-    def changed(self, value: str) -> str:
-        return f"{{output}} * min(max(1.0 + {value}, 0.0), {1.0 + MOST_SHARE!r})"
-
-
-@dataclass(frozen=True)
-class LawInput(LawOfInput):
-    """Error of the thermometer of an input column, such as the room's: it reads value K too high."""
-
-    kind: ClassVar[str] = "law_input"
-    unit: ClassVar[str] = "K"
-    most: ClassVar[float] = 1.0e3
-
-    def problem(self, values: Mapping[str, float]) -> str | None:
-        if not self.column.endswith("_C"):
-            return f"column {self.column!r} is no temperature in degC: its name does not end in _C"
-        return super().problem(values)
-
-    def changed(self, value: str) -> str:
-        return f"{{output}} - {value}"
-
-
-def _with_heat(parts: Fragment, heat: Mapping[str, str], conductance: Mapping[str, str]) -> Fragment:
+def with_heat(parts: Fragment, heat: Mapping[str, str], conductance: Mapping[str, str]) -> Fragment:
+    """Return the fragment of a law with its heat into nodes, and the bounds on its dependence on their temperatures."""
     return Fragment(
         sample=parts.sample,
         stage=parts.stage,

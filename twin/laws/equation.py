@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from twin.elements.law import Law, LawActuator, LawConductance, LawFlow, LawFluid, LawHeat, LawInput, LawReading
+from twin.elements.law import Law
+from twin.elements.law_actuator import LawActuator
+from twin.elements.law_conductance import LawConductance
+from twin.elements.law_flow import LawFlow
+from twin.elements.law_fluid import LawFluid
+from twin.elements.law_heat import LawHeat
+from twin.elements.law_input import LawInput
+from twin.elements.law_reading import LawReading
 from twin.network import Network
 
 

@@ -11,7 +11,11 @@ from twin.elements.empirical_heat import EmpiricalHeat
 from twin.elements.exchanger import Exchanger
 from twin.elements.flow import Flow
 from twin.elements.heat_source import HeatSource
-from twin.elements.law import LawFlow, LawFluid, LawHeat, LawOfInput, LawReading
+from twin.elements.law import LawOfInput
+from twin.elements.law_flow import LawFlow
+from twin.elements.law_fluid import LawFluid
+from twin.elements.law_heat import LawHeat
+from twin.elements.law_reading import LawReading
 from twin.elements.limiter import Limiter
 from twin.elements.meter import Meter
 from twin.elements.node import Node

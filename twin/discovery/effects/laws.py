@@ -17,7 +17,7 @@ from twin.discovery.effects.probe import FreeRun
 from twin.discovery.records.grid import Grid, filled
 from twin.elements.candidates import Candidate
 from twin.elements.flow import Flow
-from twin.elements.law import LawReading
+from twin.elements.law_reading import LawReading
 from twin.network import Array, Network
 
 LEAST_W = 1e-9
