@@ -26,10 +26,10 @@ REACH = 1.0
 """Longest step of a tunable, in standard deviations of a weak prior: derivatives are unreliable beyond, unless they
 held so far."""
 STATE_REACH_K, ONSET_REACH_H, GROWTH_REACH = 5.0, 1.0, 0.7
-"""Longest steps of the state, K, as wide as its weak prior; of an onset, h; and of the logarithm of a growth time, a
-factor of two."""
+"""Longest steps of the state, K, five standard deviations of its prior; of an onset, h; and of the logarithm of a
+growth time, a factor of two."""
 STATE_BOUND_K = 20.0
-"""Largest change of the initial state, K: four standard deviations of its weak prior."""
+"""Largest change of the initial state, K: twenty standard deviations of its prior, so that it never binds."""
 GROWN_S = 180.0
 """Shortest growth time, s; quicker growth is a step. A transient may end within a bin."""
 LONGEST_GROWTH = 10.0
