@@ -84,12 +84,14 @@ class _Times:
     """Ticks of a limit: `time_s` (n,) and the values `x` (n,), NaN where missing.
 
     `unknown` (m,) tells of each tick that the profile has in the time of the limit, from number `first` on, whether its
-    value is missing; one on which the condition of the limit is known not to hold needs none.
+    value is missing; one on which the condition of the limit is known not to hold needs none. `part` (n,) is the number
+    of the part of the run, between two times at which the profile stood.
     """
 
     time_s: Floats
     x: Floats
     position: NDArray[np.int64]
+    part: NDArray[np.int64]
     unknown: Bools
     first: int
     period_s: float
@@ -113,6 +115,7 @@ class _Times:
             time_s[counts],
             x[counts],
             position[counts],
+            np.cumsum(data.stood)[inside][counts],
             unknown,
             wanted.start,
             data.period_s,
@@ -252,7 +255,10 @@ def _statistic(times: _Times, said: Compared, unit: str) -> Finding:
     elif said.measure == "ramp":
         steepest = _steepest(times, said)
         if steepest is None:
-            return times.missing()
+            stood = len(np.unique(times.part)) > 1 and not times.is_missing
+            return (
+                Finding("inconclusive", "the profile stood within the span of the ramp") if stood else times.missing()
+            )
         value, at_s = steepest
         grows = said.bound.upper is None and said.bound.operator.startswith("<")
     else:
@@ -318,8 +324,12 @@ def _steepest(times: _Times, said: Compared) -> tuple[float, float] | None:
     there = later < len(times.time_s)
     first, last = np.flatnonzero(there), later[there]
     apart = times.time_s[last] - times.time_s[first]
-    change = (times.x[last] - times.x[first]) / said.over_s * 60.0
-    change = np.where(np.abs(apart - said.over_s) < 0.5 * times.period_s, change, np.nan)
+    change = (times.x[last] - times.x[first]) / apart * 60.0
+    # While the profile stood, the value went on by an unknown time of the profile.
+    is_pair = (np.abs(apart - said.over_s) <= (0.5 + _SAME_S) * times.period_s) & (
+        times.part[last] == times.part[first]
+    )
+    change = np.where(is_pair, change, np.nan)
     change = np.abs(change) if said.direction == 0 else said.direction * change
     if not np.isfinite(change).any():
         return None
@@ -332,7 +342,9 @@ def _follows(bound: BoundLimit, said: Follows, data: RunData, column: str) -> Fi
     wanted, read = data.columns[bound.setpoint], data.columns[column]
     # A set-point that is missing for a while, and then the same, has not changed: the ticks after it are judged.
     last = carried_on(wanted)
+    # After a time at which the profile stood, the reading follows it anew.
     changed = np.concatenate([[True], ~(last[1:] == last[:-1])]) if len(last) else np.zeros(0, dtype=np.bool_)
+    changed |= data.stood
     since = np.maximum.accumulate(np.where(changed, np.arange(len(wanted)), 0))
     constant = data.time_s - data.time_s[since] >= said.constant_s - _SAME_S
     relative = said.band.unit == "%" and bound.unit != "%"

@@ -42,15 +42,17 @@ class LiveTest:
     ) -> None:
         self._plan, self._period_s, self._announce = plan, period_s, announce
         self._index = {signal.column: position for position, signal in enumerate(signals)}
-        self._quick = [_Quick(limit, self._index) for limit in limits if _Quick.takes(limit)]
+        self._quick = [_Quick(limit, self._index, period_s) for limit in limits if _Quick.takes(limit)]
         self._windowed = [limit for limit in limits if _has_window(limit)]
         columns = {name for limit in self._windowed for name in _columns(limit)}
         self._store = {name: array("d") for name in sorted(columns)}
-        self._times = array("d")
+        self._times, self._parts = array("d"), array("q")
+        self._part, self._stood = 0, False
         self._failed: set[str] = set()
 
     def tick(self, profile_s: float, values: Sequence[float], quality: Sequence[int]) -> str | None:
         """Take a tick at `profile_s`, s, with `values` (k,) and their `quality` (k,); return why to trip, or None."""
+        self._part, self._stood = self._part + self._stood, False
         reasons = self._broken(profile_s, [(quick, quick.tick(profile_s, values, quality)) for quick in self._quick])
         if self._windowed:
             reasons += self._windows(profile_s, values, quality)
@@ -63,6 +65,7 @@ class LiveTest:
 
         `as_profile` is False where the outputs are not those of the profile: then only upper ends of limits count.
         """
+        self._stood = True
         always = [quick for quick in self._quick if holds_always(quick.bound)]
         found = [(quick, quick.standing(values, quality, as_profile)) for quick in always]
         reasons = self._broken(profile_s, found)
@@ -85,6 +88,7 @@ class LiveTest:
         """Keep the tick for the limits whose times have begun, and judge those whose times are over."""
         if any(_begins_s(limit) <= profile_s for limit in self._windowed):
             self._times.append(profile_s)
+            self._parts.append(self._part)
             for name, kept in self._store.items():
                 index = self._index[name]
                 kept.append(values[index] if quality[index] == 0 else math.nan)
@@ -98,6 +102,7 @@ class LiveTest:
             (),
             self._period_s,
             math.inf,
+            parts=np.array(self._parts),
         )
         reasons = []
         for limit in over:
@@ -111,7 +116,7 @@ class LiveTest:
                     f"test {self._plan.id}: limit {limit.limit.id} ({limit.limit.text}) failed: {judged.text}"
                 )
         if not any(_begins_s(limit) <= profile_s for limit in self._windowed):
-            self._times = array("d")
+            self._times, self._parts = array("d"), array("q")
             self._store = {name: array("d") for name in self._store}
         return reasons
 
@@ -142,14 +147,14 @@ def _begins_s(bound: BoundLimit) -> float:
 class _Quick:
     """Limit that a single value, or the time beyond a threshold so far, can break."""
 
-    def __init__(self, bound: BoundLimit, index: dict[str, int]) -> None:
+    def __init__(self, bound: BoundLimit, index: dict[str, int], period_s: float) -> None:
         said = bound.statement
         assert isinstance(said, Compared)
         self.bound = bound
-        self._said = said
+        self._said, self._period_s = said, period_s
         self._at = [(column, index[column]) for column in bound.columns]
         self._condition = None if bound.condition is None else index[bound.condition]
-        self._beyond_s = dict.fromkeys(bound.columns, 0.0)
+        self._beyond = dict.fromkeys(bound.columns, 0)
         self._last_s = math.nan
 
     @staticmethod
@@ -165,16 +170,12 @@ class _Quick:
 
     def tick(self, profile_s: float, values: Sequence[float], quality: Sequence[int]) -> str | None:
         """Return the violation on this tick as a sentence, or None."""
-        passed_s = profile_s - self._last_s
+        is_next = abs(profile_s - self._last_s - self._period_s) < 0.5 * self._period_s
         self._last_s = profile_s
-        if not self.bound.from_s - _OPEN <= profile_s <= self.bound.to_s + _OPEN:
-            return None
-        if not self._counts(values, quality):
-            return None
+        is_inside = self.bound.from_s - _OPEN <= profile_s <= self.bound.to_s + _OPEN
+        counts = is_inside and self._counts(values, quality)
         for column, index in self._at:
-            if quality[index] != 0:
-                continue
-            said = self._violation(column, values[index], passed_s)
+            said = self._violation(column, values[index], counts and quality[index] == 0, is_next)
             if said is not None:
                 return said if len(self._at) == 1 else f"{column}: {said}"
         return None
@@ -198,16 +199,24 @@ class _Quick:
             return True
         return quality[self._condition] == 0 and holds(values[self._condition], self.bound.while_)
 
-    def _violation(self, column: str, value: float, passed_s: float) -> str | None:
+    def _violation(self, column: str, value: float, is_known: bool, is_next: bool) -> str | None:
+        """Return the violation by the value of a tick; `is_next` is False for one after ticks that are missing.
+
+        Times are counted as in the judgement of the journal: in ticks whose value is known and beyond, and the longest
+        one in ticks that follow each other.
+        """
         said, threshold = self._said, self._said.threshold
         if threshold is None:
-            return None if holds(value, said.bound) else f"{shown(value, self.bound.unit)}, the limit is {said.bound}"
-        if holds(value, threshold):
-            self._beyond_s[column] += passed_s if math.isfinite(passed_s) else 0.0
-        elif said.measure == "longest":
-            self._beyond_s[column] = 0.0
-        beyond_s = self._beyond_s[column]
-        return None if holds(beyond_s, said.bound) else f"{beyond_s:g} s so far, the limit is {said.bound}"
+            is_kept = not is_known or holds(value, said.bound)
+            return None if is_kept else f"{shown(value, self.bound.unit)}, the limit is {said.bound}"
+        is_beyond = is_known and holds(value, threshold)
+        if said.measure == "longest" and not (is_beyond and is_next):
+            self._beyond[column] = 0
+        self._beyond[column] += is_beyond
+        beyond_s = self._beyond[column] * self._period_s
+        if not is_known or holds(beyond_s, said.bound):
+            return None
+        return f"{beyond_s:g} s so far, the limit is {said.bound}"
 
 
 def holds(value: float, bound: Bound) -> bool:

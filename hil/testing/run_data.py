@@ -39,7 +39,8 @@ class RunData:
     `columns` are values (n,) by column in the units of their signals, NaN where none is good. `setpoints` names those
     that are commanded. `twins` are predictions (n,) in degC by twin and sensor. `diagnosis` is the verdict of the
     diagnosis, None without one. `trips` are the trips of the run, a sentence each. `has_ended` is True for a run that
-    went to its end. `standing` are the ticks on which the profile stood, None where they are unknown.
+    went to its end. `standing` are the ticks on which the profile stood, None where they are unknown. `parts` (n,) are
+    numbers that differ for ticks between which the profile stood, None where it never did.
     """
 
     time_s: Floats
@@ -53,6 +54,14 @@ class RunData:
     trips: tuple[str, ...] = ()
     has_ended: bool = False
     standing: StandingTicks | None = None
+    parts: NDArray[np.int64] | None = None
+
+    @property
+    def stood(self) -> NDArray[np.bool_]:
+        """Return of each tick (n,) whether the profile stood between it and the tick before."""
+        if self.parts is None or not len(self.parts):
+            return np.zeros(len(self.time_s), dtype=np.bool_)
+        return np.diff(self.parts, prepend=self.parts[0]) != 0
 
     def measured(self, sensor: str) -> Floats:
         """Return the measured value (n,) of a twin sensor, degC: the mean of its columns, NaN where one is missing.
@@ -131,6 +140,8 @@ def read_run(folder: RunFolder, reader: JournalReader) -> RunData:
         at[np.searchsorted(tick, output.tick[known])] = output.values[known]
         twins[name] = {sensor: at[:, index] for index, sensor in enumerate(header.twin_sensors)}
     columns = {signal.column: good[:, index] for index, signal in enumerate(header.signals)}
+    # The clocks of rig and profile differ in their progress where the profile stood.
+    waited_s = np.diff(samples.time_s[rows], prepend=0.0) - np.diff(time_s[rows], prepend=0.0)
     stood = np.setdiff1d(np.arange(len(samples.tick)), rows)
     return RunData(
         time_s[rows],
@@ -148,6 +159,7 @@ def read_run(folder: RunFolder, reader: JournalReader) -> RunData:
             {name: values[stood] for name, values in columns.items()},
             _in_states(states, samples.tick[stood], _has_outputs_of_profile),
         ),
+        np.cumsum(waited_s > 0.5 * header.period_s),
     )
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.testing.bound_limits import BoundLimit
 from hil.testing.limits import Settles
-from hil.testing.run_data import RunData, carried_on, longest_piece, ticks_within
+from hil.testing.run_data import Floats, RunData, carried_on, longest_piece, ticks_within
 from hil.testing.verdicts import Finding, shown, worst
 
 FINAL_SHARE = 0.1
@@ -15,9 +16,10 @@ take the approach to it for the end."""
 
 
 def holds(data: RunData) -> list[tuple[float, float]]:
-    """Return begin and end, s of profile time, of the pieces between changes of set-points.
+    """Return begin and end, s of profile time, of the pieces between changes of set-points in the profile.
 
-    Changes on successive ticks are one ramp, and its hold begins with it.
+    Changes on successive ticks are one ramp, and its hold begins with it. A ramp back to the profile, after it has
+    stood, begins none.
     """
     if not len(data.time_s):
         return []
@@ -27,8 +29,10 @@ def holds(data: RunData) -> list[tuple[float, float]]:
     moved = np.flatnonzero((commanded[1:] != commanded[:-1]).any(axis=1)) + 1
     begins = [float(data.time_s[0])]
     last = -np.inf
-    for index in moved:
+    stood = data.stood
+    for index in np.union1d(moved, np.flatnonzero(stood)):
         time_s = float(data.time_s[index])
+        last = time_s if stood[index] else last
         if time_s - last > 1.5 * data.period_s and time_s - begins[-1] > 1.5 * data.period_s:
             begins.append(time_s)
         last = time_s
@@ -58,6 +62,9 @@ def _hold(said: Settles, bound: BoundLimit, data: RunData, column: str, piece: t
     position = data.positions()
     inside = (position >= wanted.start) & (position < wanted.stop)
     position, time_s, x = position[inside], data.time_s[inside], data.columns[column][inside]
+    stood = data.stood[inside]
+    if stood[1:].any():
+        return _stood(said, bound, (time_s, x, stood), begin_s)
     known = np.isfinite(x)
     unknown = np.ones(len(wanted), dtype=np.bool_)
     unknown[position[known] - wanted.start] = False
@@ -68,9 +75,7 @@ def _hold(said: Settles, bound: BoundLimit, data: RunData, column: str, piece: t
     if not known.any() or (said.target is None and (is_missing or not final.any())):
         return missing
     target = float(np.mean(x[final])) if said.target is None else said.target.number
-    relative = said.band.unit == "%" and bound.unit != "%"
-    half = said.band.number * (abs(target) / 100.0 if relative else 1.0)
-    outside = np.flatnonzero(known & (np.abs(x - target) > half))
+    outside = np.flatnonzero(known & (np.abs(x - target) > _half_width(said, bound, target)))
     settled_s = float(time_s[outside[-1]]) + data.period_s - begin_s if len(outside) else 0.0
     margin = said.within_s - settled_s
     about = f"about {shown(target, bound.unit)}"
@@ -90,3 +95,29 @@ def _hold(said: Settles, bound: BoundLimit, data: RunData, column: str, piece: t
         return Finding("inconclusive", f"{text}; the limit is {said.within_s:g} s", settled_s, "s", begin_s, margin)
     text = f"settled within {settled_s:g} s {about} after the change at {begin_s:g} s"
     return Finding("pass", text, settled_s, "s", begin_s, margin)
+
+
+def _half_width(said: Settles, bound: BoundLimit, target: float) -> float:
+    relative = said.band.unit == "%" and bound.unit != "%"
+    return said.band.number * (abs(target) / 100.0 if relative else 1.0)
+
+
+def _stood(
+    said: Settles, bound: BoundLimit, ticks: tuple[Floats, Floats, NDArray[np.bool_]], begin_s: float
+) -> Finding:
+    """Return the finding on a hold in which the profile stood: a failure before that, else inconclusive.
+
+    Times of the profile do not state how long the value took, and safe values have moved it.
+    """
+    time_s, x, stood = ticks
+    first = int(np.argmax(stood[1:])) + 1
+    text = f"the profile stood at {time_s[first]:g} s, before the value had settled after {begin_s:g} s"
+    if said.target is not None:
+        target = said.target.number
+        late = time_s[:first] - begin_s >= said.within_s
+        wrong = np.flatnonzero(late & (np.abs(x[:first] - target) > _half_width(said, bound, target)))
+        if len(wrong):
+            at_s = float(time_s[wrong[0]])
+            text = f"not settled about {shown(target, bound.unit)} at {at_s:g} s, after the change at {begin_s:g} s"
+            return Finding("fail", f"{text}, the limit is {said.within_s:g} s", at_s - begin_s, "s", begin_s)
+    return Finding("inconclusive", text, at_s=begin_s)

@@ -171,3 +171,46 @@ def test_a_limit_without_times_also_holds_while_the_profile_stands(tmp_path, sen
     assert found.verdict == verdict, found.text
     if verdict == "fail":
         assert "while the profile stood at 70 s" in found.text
+
+
+def stood_at(tick: int, **columns):
+    """A run whose profile stood for long before `tick`: the tank has cooled meanwhile."""
+    run = made_run()
+    tank = run.columns["T_tank_C"] - np.where(tick <= WHOLE, 8.0 * np.exp(-(WHOLE - tick) / 5.0), 0.0)
+    return replace(made_run(T_tank_C=tank, **columns), parts=np.cumsum(tick == WHOLE))
+
+
+def test_no_ramp_spans_a_time_at_which_the_profile_stood(tmp_path):
+    data = stood_at(150)
+    assert judged(tmp_path, "fall of T_tank_C < 1 K/min before 180 s", data).verdict == "pass"
+    assert judged(tmp_path, "fall of T_tank_C < 1 K/s before 180 s", data).verdict == "pass"
+    found = judged(tmp_path, "ramp of T_tank_C over 20 s < 1 K/min from 140 s to 165 s", data)
+    assert found.verdict == "inconclusive" and "the profile stood" in found.text
+
+
+def test_a_reading_follows_its_set_point_anew_after_the_profile_has_stood(tmp_path):
+    read = np.where((WHOLE >= 150) & (WHOLE < 155), 0.0, made_run().columns["heater_power_W"])
+    sentence = "heater_power measured within 5 % of set-point once constant for 10 s"
+    assert judged(tmp_path, sentence, stood_at(150, heater_power_W=read)).verdict == "pass"
+    assert judged(tmp_path, sentence, made_run(heater_power_W=read)).verdict == "fail"
+
+
+@pytest.mark.parametrize(
+    ("tick", "sentence", "verdict"),
+    [
+        (210, "T_tank_C settles within 70 s to 0.5 K", "inconclusive"),
+        (210, "T_tank_C settles within 70 s to 0.5 K of 40 degC after 200 s", "inconclusive"),
+        (240, "T_tank_C settles within 10 s to 0.5 K of 40 degC after 200 s", "fail"),
+        (200, "T_tank_C settles within 70 s to 0.5 K of 40 degC after 200 s", "pass"),
+        (100, "T_tank_C settles within 70 s to 0.5 K", "inconclusive"),
+    ],
+)
+def test_a_hold_in_which_the_profile_stood_does_not_show_that_a_value_settles(tmp_path, tick, sentence, verdict):
+    found = judged(tmp_path, sentence, stood_at(tick))
+    assert found.verdict == verdict and (verdict != "inconclusive" or "the profile stood" in found.text)
+
+
+def test_a_ramp_is_the_change_over_the_time_between_its_two_ticks(tmp_path):
+    tank = made_run(T_tank_C=0.1 * WHOLE)
+    for over in ("1400 ms", "1500 ms", "10 s"):
+        assert judged(tmp_path, f"ramp of T_tank_C over {over} < 7 K/min", tank).value == pytest.approx(6.0)

@@ -62,9 +62,25 @@ def test_a_value_that_is_not_good_breaks_no_limit(tmp_path):
 
 def test_time_beyond_a_threshold_adds_up(tmp_path):
     test, _ = live(tmp_path, "time of T_tank_C above 50 < 4 s")
-    assert [s is not None for s in fed(test, [60.0, 40.0, 60.0, 60.0, 60.0, 60.0])] == [False] * 5 + [True]
+    assert [s is not None for s in fed(test, [60.0, 40.0, 60.0, 60.0, 60.0, 60.0])] == [False] * 4 + [True, True]
     longest, _ = live(tmp_path, "longest time of T_tank_C above 50 < 3 s")
     assert [s is not None for s in fed(longest, [40, 60, 60, 40, 60, 60, 60, 40])] == [False] * 6 + [True, False]
+
+
+@pytest.mark.parametrize("condition", ["", " while heater_power_W > 50"])
+@pytest.mark.parametrize("broken", ["unknown", "not counted", "never read"])
+def test_the_longest_time_live_is_that_of_ticks_that_follow_each_other(tmp_path, condition, broken):
+    test, lines = live(tmp_path, f"longest time of T_tank_C above 50 < 5 s{condition}")
+    for tick in range(8):
+        if tick == 4 and broken == "never read":
+            continue
+        quality = int(Quality.SENSOR_FAULT) if tick == 4 and broken == "unknown" else 0
+        power, tank = (0.0, 40.0) if tick == 4 and broken == "not counted" else (100.0, 60.0)
+        row = [power, 5.0, tank, 20.0, 20.0, float(tick), 100.0]
+        assert test.tick(float(tick), row, [0, 0, quality, 0, 0, 0, 0]) is None
+    assert not lines
+    assert test.tick(8.0, [100.0, 5.0, 60.0, 20.0, 20.0, 8.0, 100.0], [0] * 7) is None
+    assert test.tick(9.0, [100.0, 5.0, 60.0, 20.0, 20.0, 9.0, 100.0], [0] * 7) is not None
 
 
 def test_times_and_conditions_are_kept_live(tmp_path):
