@@ -20,16 +20,21 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from drivers.rig_file import file_sha256
 from hil.cli.run_commands.resume import command as resume
 from hil.diagnosis.columns import read_columns
 from hil.journal.writer import JournalReader
 from hil.record.reader import Record, read_record
 from hil.review.rerun_io import read_words
+from hil.run.engine import Outcome
 from hil.run.restore.thermal_restore import stores_heat
 from hil.run.session.interrupted_run import position_of
+from hil.run.session.run import RunResult
 from hil.run.session.terminal import interruption_summary
 from hil.run_folder.folder import RunFolder, RunFolderError
+from hil.testing import Judgement, TestResult, read_plan, write_results
 from tests.hil.command_line import typed
+from tests.hil.made_plan import plan_text
 from twin.segments import LONG_GAP_S, find_segments
 from twin.twinfile import load
 
@@ -463,3 +468,23 @@ def test_a_resume_takes_back_what_the_manifest_says_of_an_earlier_end(story, tmp
     assert seen, done.output
     assert seen["exit_status"] == "running"
     assert not {"safe", "away", "guardian", "trips", "problems", "deviations"} & set(seen)
+
+
+def test_a_resumed_test_ends_with_its_verdict(bare, tmp_path, monkeypatch):
+    folder = RunFolder(tmp_path / "run")
+    shutil.copytree(bare, folder.path, ignore=NO_SOCKET)
+    plan = tmp_path / "plan.toml"
+    plan.write_text(plan_text("no trip"), encoding="utf-8")
+    manifest = folder.read_manifest()
+    manifest["files"]["test"] = {"path": str(plan), "sha256": file_sha256(plan)}
+    folder.write_manifest(manifest)
+
+    async def judged(prepared):
+        write_results(prepared.folder, TestResult(read_plan(plan), (Judgement(limit, "fail", "too hot"),)))
+        return RunResult(prepared.folder, Outcome("done", "the profile is over", 10, safe=True), None, 9.0, 1.0, False)
+
+    (limit,) = read_plan(plan).limits
+    monkeypatch.setattr("hil.run.session.session.carry_out", judged)
+    done = CliRunner().invoke(resume, [str(folder.path), "--no-viewer"])
+    assert done.exit_code == 1, done.output
+    assert "FAIL          L1  no trip: too hot" in done.output

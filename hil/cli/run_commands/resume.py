@@ -76,7 +76,8 @@ def command(
     Rig file, profile and twin must be unchanged. The calibrators are restored from the journal. The rig is made safe,
     then heated and cooled until every temperature has stayed within --band of its value at the interruption for a
     minute (thermal restore). Only then does the profile continue, in the same folder. After --timeout the rig is left
-    safe, and the run can be resumed again.
+    safe, and the run can be resumed again. The run of a test ends with its verdict, and with exit code 1 unless every
+    limit passed.
 
     \b
     Example:
@@ -88,7 +89,8 @@ def command(
     from hil.run.engine import RunSignals
     from hil.run.restore import RestoreRule, duration_s
     from hil.run.session import RunProgress, request_of, resume_notices, resume_session, session_result
-    from hil.run_folder import RunFolder
+    from hil.run_folder import RunFolder, read_verdict
+    from hil.testing import document_lines
 
     folder = RunFolder(run)
     moved = {
@@ -125,9 +127,14 @@ def command(
                 folder, request, rule, live.update, live.announce, gap_s, name_rig, signals=signals
             )
             result = session_result(session, until_exit=owns_process())
+        manifest = as_json_document(result)
+        is_test = "test" in result.folder.read_manifest()["files"]
+        judged = read_verdict(result.folder) if is_test else {"verdict": "pass", "tests": []}
         if as_json:
-            click.echo(json.dumps(as_json_document(result), indent=1))
+            click.echo(json.dumps(manifest | ({"tests": judged["tests"]} if is_test else {}), indent=1))
         else:
             live.show_result(result)
-    if result.exit_code:
-        sys.exit(result.exit_code)
+            for line in document_lines(judged):
+                click.echo(line)
+    if code := result.exit_code or int(judged["verdict"] != "pass"):
+        sys.exit(code)
