@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     )
     from hil.run_folder.notes import LONGEST_LABEL, LONGEST_NOTE, Note, add_note, labels_of, read_notes
     from hil.run_folder.output_path import require_output
+    from hil.run_folder.room import RunSize
     from hil.run_folder.verdict import DiagnosisVerdict, read_diagnosis_verdict, read_verdict
 
 __all__ = [
@@ -41,6 +42,7 @@ __all__ = [
     "Note",
     "RunFolder",
     "RunFolderError",
+    "RunSize",
     "add_note",
     "append_json_line",
     "create_run_folder",
@@ -87,6 +89,7 @@ __getattr__, __dir__ = lazy_names(
             "read_notes",
         ),
         "output_path": ("require_output",),
+        "room": ("RunSize",),
         "verdict": (
             "DiagnosisVerdict",
             "read_diagnosis_verdict",

@@ -31,10 +31,9 @@ from hil.files import (
     take_lock,
 )
 from hil.run_folder.manifest_check import checked_manifest
+from hil.run_folder.room import RunSize
 
 LIBRARIES = ("pymodbus", "python-can", "cantools", "numpy", "scipy", "llvmlite", "pyarrow", "rerun-sdk")
-BYTES_PER_TICK = 2500
-"""Bytes of a tick on disk, in journal, record and review together, rounded up."""
 
 
 class RunFolderError(Exception):
@@ -228,7 +227,7 @@ class RunFolder:
             temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
-def create_run_folder(parent: Path, profile_name: str, ticks: int) -> RunFolder:
+def create_run_folder(parent: Path, profile_name: str, size: RunSize) -> RunFolder:
     """Make a new, empty run folder under `parent`, named by time and profile, and return it.
 
     Runs that begin in the same second get folders of their own. Characters of `profile_name` that a terminal or a
@@ -237,8 +236,8 @@ def create_run_folder(parent: Path, profile_name: str, ticks: int) -> RunFolder:
     Raises
     ------
     RunFolderError
-        `parent` is no folder or takes no new one, its path is too long for a journal, or its disk has
-        no room for `ticks`.
+        `parent` is no folder or takes no new one, its path is too long for a journal, or its disk has no room for a
+        run of this `size`.
     """
     try:
         parent.mkdir(parents=True, exist_ok=True)
@@ -256,7 +255,7 @@ def create_run_folder(parent: Path, profile_name: str, ticks: int) -> RunFolder:
         parent, f"{stamp}-{safe_file_name(profile_name, min(longest_name(parent) - len(stamp) - ENDINGS, room))}"
     )
     try:
-        _require(path, ticks * BYTES_PER_TICK, "use --runs")
+        _require(path, size.bytes_needed, "use --runs")
     except RunFolderError:
         path.rmdir()
         raise
@@ -279,10 +278,13 @@ def _made(parent: Path, name: str) -> Path:
     raise RunFolderError(f"{parent / name} and 98 more are there already; choose another folder with --runs")
 
 
-def require_room(folder: RunFolder, ticks: int) -> None:
-    """Check that the disk has room for the rest of a run of `ticks` ticks; raises RunFolderError."""
-    held = sum(path.stat().st_size for path in folder.path.iterdir() if path.is_file())
-    _require(folder.path, max(ticks * BYTES_PER_TICK - held, 0), "move the run's folder to another disk")
+def require_room(folder: RunFolder, size: RunSize) -> None:
+    """Check that the disk has room for the rest of a run of this `size`; raises RunFolderError.
+
+    The journal grows on; all other files are made anew, and replace the old ones when they are complete.
+    """
+    held = folder.journal.stat().st_size if folder.journal.is_file() else 0
+    _require(folder.path, max(size.bytes_needed - held, 0), "move the run's folder to another disk")
 
 
 def _require(path: Path, needed: int, otherwise: str) -> None:

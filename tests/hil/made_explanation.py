@@ -17,6 +17,7 @@ from hil.run.engine.status import Outcome
 from hil.run.session.request import RunRequest
 from hil.run.session.run import RunResult
 from hil.run_folder.folder import create_run_folder, new_manifest
+from hil.run_folder.room import RunSize
 from tests.discovery.conftest import Bench
 from tests.hil.made_diagnosis import effect, made
 from tests.hil.made_record import written
@@ -95,7 +96,7 @@ class Scripted:
 
     def run(self, request: RunRequest) -> RunResult:
         self.runs.append(request)
-        folder = create_run_folder(request.runs, request.profile.stem, 10)
+        folder = create_run_folder(request.runs, request.profile.stem, RunSize(10))
         manifest = new_manifest({"profile": request.profile, "rig": request.rig}, virtual=request.virtual)
         folder.write_manifest(manifest | {"exit_status": self._ends})
         bench = Bench(load(LOOP))

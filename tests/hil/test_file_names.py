@@ -24,6 +24,7 @@ from hil.record.reader import read_record, write_record
 from hil.review.rerun_io import read_columns
 from hil.run.session.derived_files import derive_files
 from hil.run_folder.folder import RunFolderError, create_run_folder
+from hil.run_folder.room import RunSize
 from tests.hil.ended_run import ended_run
 
 NAMES = [
@@ -73,7 +74,7 @@ def test_a_run_folder_is_named_by_any_profile(tmp_path, name):
     path = tmp_path / (os.fsdecode(name[:250]) + ".csv")
     path.write_text("time_s,heater_power_W\n0,300\n700,300\n", encoding="utf-8")
     profile = read_profile(path)
-    made = create_run_folder(tmp_path / "runs", profile.name, 1).path
+    made = create_run_folder(tmp_path / "runs", profile.name, RunSize(1)).path
     assert len(os.fsencode(made.name)) < 255 - len(".run.json")
     assert made.name.isprintable()
     printable(made.name).encode()
@@ -85,7 +86,7 @@ def test_a_name_is_cut_between_characters():
 
 
 def test_folders_of_one_second_are_told_apart(tmp_path):
-    made = {create_run_folder(tmp_path, "load", 1).path for _ in range(5)}
+    made = {create_run_folder(tmp_path, "load", RunSize(1)).path for _ in range(5)}
     assert len(made) == 5
 
 
@@ -93,7 +94,7 @@ def test_a_path_that_sqlite_cannot_take_is_refused_before_the_run_and_a_shorter_
     deep = tmp_path
     while len(os.fsencode(deep)) < LONGEST_DATABASE_PATH - 120:
         deep /= "d" * 40
-    made = create_run_folder(deep, "p" * 200, 1)
+    made = create_run_folder(deep, "p" * 200, RunSize(1))
     assert len(os.fsencode(made.journal)) <= LONGEST_DATABASE_PATH
     database = sqlite3.connect(made.journal)
     database.execute("PRAGMA journal_mode=WAL")
@@ -103,7 +104,7 @@ def test_a_path_that_sqlite_cannot_take_is_refused_before_the_run_and_a_shorter_
     with pytest.raises(
         RunFolderError, match=r"is too long: SQLite takes 504 bytes .* choose a shorter folder with --runs"
     ):
-        create_run_folder(deep / ("e" * 100), "p", 1)
+        create_run_folder(deep / ("e" * 100), "p", RunSize(1))
 
 
 def test_a_journal_that_was_moved_too_deep_says_so(tmp_path):
@@ -123,14 +124,14 @@ def test_a_place_that_can_be_no_folder_is_refused_with_the_option_to_change(tmp_
     else:
         place.touch()
     with pytest.raises(RunFolderError, match=r"cannot be made .* choose another folder with --runs"):
-        create_run_folder(place / "below" if kind == "under a file" else place, "load", 1)
+        create_run_folder(place / "below" if kind == "under a file" else place, "load", RunSize(1))
     assert not (tmp_path / "nowhere").exists()
 
 
 def test_a_link_to_a_folder_is_a_place_for_runs(tmp_path):
     (tmp_path / "disk").mkdir()
     (tmp_path / "runs").symlink_to(tmp_path / "disk")
-    assert create_run_folder(tmp_path / "runs", "load", 1).path.is_dir()
+    assert create_run_folder(tmp_path / "runs", "load", RunSize(1)).path.is_dir()
 
 
 def test_a_place_that_takes_no_folder_is_refused(tmp_path, monkeypatch):
@@ -139,7 +140,7 @@ def test_a_place_that_takes_no_folder_is_refused(tmp_path, monkeypatch):
 
     monkeypatch.setattr("pathlib.Path.mkdir", full)
     with pytest.raises(RunFolderError, match="cannot be made \\(No space left on device\\); choose another folder"):
-        create_run_folder(tmp_path / "runs", "load", 1)
+        create_run_folder(tmp_path / "runs", "load", RunSize(1))
 
 
 def test_a_path_by_way_of_the_open_folder_is_the_same_file(tmp_path):

@@ -31,6 +31,7 @@ from hil.run.session.interrupted_run import request_of
 from hil.run.session.manifest import settings_of
 from hil.run.session.request import RunRequest
 from hil.run_folder.folder import RunFolder, create_run_folder, new_manifest
+from hil.run_folder.room import RunSize
 from tests.hil.command_line import typed
 from tests.hil.made_diagnosis import SAYS, effect, made
 from tests.hil.slow_period import slow_period_rig
@@ -285,7 +286,7 @@ def test_a_run_goes_on_with_the_diagnosis_that_it_was_asked_for(tmp_path, asked,
     profile.write_text(LOAD.format(end=9000), encoding="utf-8")
     rig = PROJECT / "profiles" / "rigs" / "virtual.toml"
     request = RunRequest(profile, rig, None, tmp_path, virtual=True, mode="lockstep", diagnose_s=asked)
-    folder = create_run_folder(tmp_path, "load", 100)
+    folder = create_run_folder(tmp_path, "load", RunSize(100))
     settings = settings_of(request, None)
     folder.write_manifest(new_manifest({"rig": rig, "profile": profile}, **settings))
     JournalWriter(folder.journal, Header((SIGNAL,), {}, (), "load", 9000.0, 1.0, {})).close()

@@ -6,15 +6,20 @@ import sqlite3
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from drivers.rig.connection import RigConnection
 from drivers.signals.points import Quality
+from hil.journal import export_record
 from hil.journal.states import RunEvent, State, next_state
 from hil.journal.writer import Header, JournalError, JournalWriter
+from hil.review import write_review
 from hil.run.session.interrupted_run import position_of
-from hil.run_folder.folder import BYTES_PER_TICK, RunFolder, RunFolderError, require_room
+from hil.run_folder.folder import RunFolder, RunFolderError, require_room
+from hil.run_folder.room import BYTES_OF_ANY_RUN, RunSize
 from tests.hil.simulated_rig import SHIPPED
+from tests.hil.synthetic_journal import Truth, make, write
 
 SIGNALS = RigConnection(SHIPPED, lambda: 0.0).signals
 HOT_C, COOL_C = 45.0, 25.0
@@ -129,9 +134,35 @@ def test_a_journal_that_was_cut_while_it_was_made_says_so(tmp_path):
 
 
 def test_a_run_that_is_nearly_over_needs_room_for_what_it_lacks_alone(tmp_path, monkeypatch):
-    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=1_000_000))
-    folder, ticks = RunFolder(tmp_path), 1000
-    with pytest.raises(RunFolderError, match=r"has 1 MB free, this run may need 2 MB; free some or move the run's fol"):
-        require_room(folder, ticks)
-    folder.journal.write_bytes(bytes(ticks * BYTES_PER_TICK - 900_000))
-    require_room(folder, ticks)
+    free = BYTES_OF_ANY_RUN + 1_000_000
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=free))
+    folder, size = RunFolder(tmp_path), RunSize(10_000, 3)
+    with pytest.raises(
+        RunFolderError, match=r"has 11 MB free, this run may need 13 MB; free some or move the run's fol"
+    ):
+        require_room(folder, size)
+    folder.review.write_bytes(bytes(2_000_000))  # it stays until the new one is complete
+    with pytest.raises(RunFolderError, match="may need 13 MB"):
+        require_room(folder, size)
+    folder.journal.write_bytes(bytes(2_000_000))
+    require_room(folder, size)
+
+
+def test_the_room_of_a_run_is_enough_for_values_that_no_file_can_shorten(tmp_path):
+    ticks, noise = 1500, np.random.default_rng(0)
+    header = make(10, twins=("static",)).header
+    truth = Truth(
+        header,
+        np.arange(float(ticks)),
+        noise.normal(50.0, 5.0, (ticks, len(header.signals))),
+        np.zeros((ticks, len(header.signals)), dtype=np.uint8),
+        {"static": noise.normal(50.0, 5.0, (ticks, len(header.twin_sensors)))},
+    )
+    folder = RunFolder(tmp_path)
+    write(folder.journal, truth)
+    export_record(folder.journal, folder.record)
+    write_review(folder.journal, folder.review)
+    size = RunSize(ticks, len(header.signals), 1, len(header.twin_sensors))
+    for_ticks = size.bytes_needed - BYTES_OF_ANY_RUN
+    held = sum(path.stat().st_size for path in tmp_path.iterdir())
+    assert 0.6 * for_ticks < held < for_ticks + 2_000_000

@@ -22,6 +22,7 @@ from hil.bench.faults.tls import make_certificates
 from hil.files.atomic import replacing
 from hil.run.session.interrupted_run import request_of
 from hil.run_folder.folder import RunFolder, create_run_folder
+from hil.run_folder.room import RunSize
 
 PROJECT = Path(__file__).resolve().parents[2]
 HIL = [sys.executable, "-m", "hil"]
@@ -133,7 +134,7 @@ def test_a_dbc_is_data_whatever_its_name_promises(tmp_path):
 def test_the_name_of_a_profile_cannot_lead_out_of_the_folder_of_runs(tmp_path):
     runs = tmp_path / "runs"
     for name in ("..", ".", "a b", "..%2f.."):
-        folder = create_run_folder(runs, Path(f"{name}.csv").stem, 10)
+        folder = create_run_folder(runs, Path(f"{name}.csv").stem, RunSize(10))
         assert folder.path.resolve().parent == runs.resolve()
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from drivers.rig import rig_signals
 from drivers.rig_file import Rig
 from hil.diagnosis import copy_record
 from hil.run.engine import RunSignals, Status, cancelling
@@ -21,7 +22,15 @@ from hil.run.session.rig_time import speed_of
 from hil.run.session.run import PreparedRun, RunResult, carry_out
 from hil.run.session.services import start_tracking
 from hil.run.session.terminal import hours
-from hil.run_folder import RunFolder, RunFolderError, create_run_folder, new_manifest, require_room, without_end
+from hil.run_folder import (
+    RunFolder,
+    RunFolderError,
+    RunSize,
+    create_run_folder,
+    new_manifest,
+    require_room,
+    without_end,
+)
 from hil.tracking import Twins
 from twin import chain
 
@@ -68,7 +77,9 @@ async def run_session(
             stack.push_async_callback(tracking.close)
             for name, why in tracking.left_out.items():
                 announce(f"{name} is left out: {why}")
-        folder = create_run_folder(request.runs, request.profile.stem, _ticks(ready))
+        folder = create_run_folder(
+            request.runs, request.profile.stem, _size(ready, 0 if tracking is None else len(tracking.calibrators))
+        )
         stack.enter_context(folder.owned())
         claim.record_holder(folder.path)
         manifest = new_manifest(files_of(request, ready), **settings_of(request, tracking))
@@ -128,7 +139,7 @@ async def resume_session(
         claim = stack.enter_context(claimed(_shared_rig(request, ready), announce, no_lock=request.no_lock))
         claim.record_holder(folder.path)
         was = confirmed_position(folder, gap_s, announce)
-        require_room(folder, _ticks(ready))
+        require_room(folder, _size(ready, len(request.calibrators or ())))
         before_moving(request)
         folder.control.unlink(missing_ok=True)
         tracking = await start_tracking(request, ready)
@@ -151,8 +162,12 @@ def _shared_rig(request: RunRequest, ready: RunInputs) -> Rig | None:
     return None if request.virtual else ready.rig
 
 
-def _ticks(ready: RunInputs) -> int:
-    return int(ready.profile.duration_s / ready.rig.period_s) + 1
+def _size(ready: RunInputs, calibrators: int) -> RunSize:
+    """Return the size of a run with this number of calibrators; without a twin it has no predictions."""
+    ticks, signals = int(ready.profile.duration_s / ready.rig.period_s) + 1, len(rig_signals(ready.rig))
+    if ready.network is None:
+        return RunSize(ticks, signals)
+    return RunSize(ticks, signals, 1 + calibrators, len(ready.network.sensor_columns))
 
 
 def check_session(request: RunRequest) -> RunInputs:
