@@ -34,6 +34,8 @@ from hil.run_folder.manifest_check import checked_manifest
 from hil.run_folder.room import RunSize
 
 LIBRARIES = ("pymodbus", "python-can", "cantools", "numpy", "scipy", "llvmlite", "pyarrow", "rerun-sdk")
+LIVE_REVIEW_S = 180.0
+"""Age that the review of a run may have against its journal, s: the last rows of a run follow its last tick."""
 
 
 class RunFolderError(Exception):
@@ -136,6 +138,19 @@ class RunFolder:
             return made.stat().st_mtime >= newest - within_s
         except (OSError, ValueError):
             return made.is_file()
+
+    def is_review_current(self, *, finished: bool) -> bool:
+        """Return True for a review that shows the whole journal and the diagnosis of the run.
+
+        `finished` states that `run.json` has the end of the run: the process that writes the review live closes it
+        before the journal gets its last rows, about that end.
+        """
+        curves = self.diagnosis / "diagnosis.parquet"
+        try:
+            is_older = curves.is_file() and curves.stat().st_mtime > self.review.stat().st_mtime
+        except OSError:
+            return False
+        return not is_older and self.is_current(self.review, LIVE_REVIEW_S if finished else 0.0)
 
     @property
     def was_cut(self) -> bool:

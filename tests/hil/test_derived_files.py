@@ -15,19 +15,26 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
+from drivers.rig_file import file_sha256
 from hil.cli.options.subject import SubjectError, subject_of
 from hil.cli.rig_commands.check import command as check
 from hil.cli.run_commands.report import command as report
 from hil.cli.twin_commands.commission import command as commission
+from hil.diagnosis.store import CURVES, curves_of, write_curves, write_document
 from hil.errors import exit_code
 from hil.record.reader import RecordError
+from hil.review import write_review
 from hil.run.session.derived_files import DerivedFiles, derive_files, missing_sentence
 from hil.run.session.interrupted_run import request_of
 from hil.run.session.manifest import RUN_UID
 from hil.run.session.regenerate import regenerate_files
+from hil.run_folder import read_verdict
 from hil.run_folder.folder import FolderLostError, RunFolderError
 from hil.run_folder.manifest_check import left_safe
 from tests.hil.ended_run import ended_run
+from tests.hil.made_diagnosis import SENSORS
+from tests.hil.made_diagnosis import made as diagnosis
+from tests.hil.made_plan import plan_text
 
 ALL = {"run.json", "journal.sqlite", "record.parquet", "review.rrd", "report.html"}
 
@@ -204,6 +211,26 @@ def test_a_run_killed_before_it_could_say_how_it_ended_is_reported_by_its_journa
     found = folder.read_manifest()
     assert (found["exit_status"], found["reason"], found["ticks"]) == ("done", "the profile is over", 300)
     assert names(folder) == ALL
+
+
+def test_a_test_that_was_killed_during_its_last_diagnosis_is_judged_and_names_the_lack(tmp_path):
+    folder, manifest = made(tmp_path / "run")
+    plan = tmp_path / "plan.toml"
+    plan.write_text(plan_text("no trip"), encoding="utf-8")
+    manifest["files"]["test"] = {"path": str(plan), "sha256": file_sha256(plan)}
+    manifest["settings"]["diagnose_s"] = "end"
+    folder.write_manifest(manifest | {"exit_status": "running", "reason": ""})
+    write_review(folder.journal, folder.review)  # as the process of the review does, which outlives the run
+    said: list[str] = []
+    regenerate_files(folder, False, said.append)
+    assert "hil diagnose" in said[0] and "writing review.rrd" not in said
+    assert read_verdict(folder)["verdict"] == "pass" and folder.read_manifest()["verdict"] == "pass"
+    folder.diagnosis.mkdir()
+    write_document(diagnosis().document(), folder.diagnosis)
+    write_curves(curves_of(diagnosis(), SENSORS), folder.diagnosis / CURVES)
+    said.clear()
+    regenerate_files(folder, False, said.append)
+    assert said == ["writing review.rrd", "writing report.html"]
 
 
 def test_a_run_that_was_cut_is_reported_as_far_as_it_came_and_stays_cut(tmp_path):

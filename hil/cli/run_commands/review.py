@@ -5,17 +5,8 @@ from __future__ import annotations
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
-
-if TYPE_CHECKING:
-    from hil.run_folder import RunFolder
-
-
-LIVE_REVIEW_S = 180.0
-"""Age in s that the review of a live viewer may have against its journal: the last rows of a run follow its last tick.
-"""
 
 
 @click.command()
@@ -65,8 +56,7 @@ def command(run: Path, follow: bool, rebuild: bool, tab: str | None, screenshot:
 
         follow_review(folder.journal)
         return
-    # A live viewer closes the file before the journal gets its last rows about how the run ended.
-    if rebuild or not folder.is_current(folder.review, LIVE_REVIEW_S if finished else 0.0) or _older(folder):
+    if rebuild or not folder.is_review_current(finished=finished):
         cut = f" (the run was interrupted: shown as far as it came; `hil resume {shlex.quote(str(run))}` continues it)"
         so_far = "" if finished else cut if folder.was_cut else " (the run is live: shown as far as it has come)"
         click.echo(f"writing {folder.review}{so_far}", err=True)
@@ -107,14 +97,6 @@ def _tower_review(folder: Path) -> Path:
     except OSError as error:
         raise RecordError(f"{rrd}: cannot be written: {why_unwritten(error)}") from error
     return rrd
-
-
-def _older(folder: RunFolder) -> bool:
-    """Return True if the review was made before the diagnosis that it is to show."""
-    from hil.diagnosis import CURVES
-
-    curves = folder.diagnosis / CURVES
-    return curves.is_file() and curves.stat().st_mtime > folder.review.stat().st_mtime
 
 
 def _show(run: Path, rrd: Path, tab: str | None, screenshot: Path | None) -> None:

@@ -38,15 +38,28 @@ def regenerate_files(folder: RunFolder, rebuild: bool, announce: Callable[[str],
     """
     folder.read_manifest()  # refuse a folder of something else before it is locked
     with folder.owned():
-        manifest = completed_manifest(folder, folder.read_manifest())
-        wanted = manifest.get("missing", {})
-        current = [name for name in (REVISION, VERDICT) if name not in wanted]
+        before = folder.read_manifest()
+        finished = before.get("exit_status") != "running"
+        manifest = completed_manifest(folder, before)
+        # A process that was killed after the end of its run has noted no missing files.
+        wanted = manifest.get("missing", {}) if finished or manifest is before else (REVISION, VERDICT)
+        omitted = [name for name in (REVISION, VERDICT) if name not in wanted]
         if not rebuild:
-            files = {RECORD: folder.record, REVIEW: folder.review}
-            current += [name for name, path in files.items() if folder.is_current(path)]
-            if RECORD in current and _lacks_ticks(folder):  # a copy of a folder may have any times
-                current.remove(RECORD)
-        return derive_files(folder, manifest, announce, omitted=current)
+            current = {
+                RECORD: folder.is_current(folder.record) and not _lacks_ticks(folder),  # a copy may have any times
+                REVIEW: folder.is_review_current(finished=finished),
+            }
+            omitted += [name for name, is_current in current.items() if is_current]
+        if manifest.get("exit_status") == "done" and _lacks_diagnosis(folder, manifest):
+            run = shlex.quote(str(folder.path))
+            announce(f"the run was killed before its diagnosis was made; `hil diagnose {run}` makes it")
+        return derive_files(folder, manifest, announce, omitted=omitted)
+
+
+def _lacks_diagnosis(folder: RunFolder, manifest: dict[str, Any]) -> bool:
+    """Return True for a run that was killed before its diagnosis, or before it noted why there is none."""
+    asked = manifest["settings"].get("diagnose_s") is not None
+    return asked and "diagnosis" not in manifest and not (folder.diagnosis / "diagnosis.json").is_file()
 
 
 def current_record(folder: RunFolder, announce: Callable[[str], None]) -> Path:
