@@ -19,12 +19,14 @@ from hil.alarms import AlarmError, AlarmWatch, alarm_document
 from hil.journal import ENDED, JournalError, JournalReader, JournalSamples, State, StateRow, TwinOutput
 from hil.panel.errors import PanelError
 from hil.panel.trends import Trends, number
-from hil.run_folder import RunFolder, RunFolderError, left_safe, read_diagnosis_verdict, read_notes
+from hil.run_folder import RunFolder, RunFolderError, left_safe, read_diagnosis_verdict, read_notes, read_verdict
 
 BLOCK_TICKS = 20_000
 """Ticks that are read at a time."""
 MOST_EVENTS = 30
 """Events and notes that a page shows."""
+MOST_LIMITS = 20
+"""Limits of a test that did not pass, which a page shows; the report has all."""
 RECENT_S = 600.0
 """Part of the run's end that a page may show in full, s."""
 MOST_FRESH = 40
@@ -293,6 +295,7 @@ class RunFeed:
         return {
             "safe": left_safe(self._manifest),
             "notes": notes,
+            "tests": _tests(folder),
             "diagnosis": None if diagnosis is None else str(diagnosis),
             "files": {
                 "report": folder.report.is_file(),
@@ -300,6 +303,30 @@ class RunFeed:
                 "diagnosis": (folder.diagnosis / "diagnosis.html").is_file(),
             },
         }
+
+
+def _tests(folder: RunFolder) -> list[dict[str, Any]]:
+    """Return verdict, title and counts of each test of a run, with a sentence on each limit that did not pass."""
+    try:
+        tests = read_verdict(folder)["tests"]
+    except RunFolderError as error:
+        return [{"verdict": "inconclusive", "title": folder.verdict.name, "text": str(error), "limits": []}]
+    found = []
+    for test in tests:
+        limits = test["limits"]
+        passed = sum(limit["verdict"] == "pass" for limit in limits)
+        open_ones = [
+            f"{limit['id']}: {limit['limit']}: {limit['text']}" for limit in limits if limit["verdict"] != "pass"
+        ]
+        found.append(
+            {
+                "verdict": test["verdict"],
+                "title": test["title"],
+                "text": f"{passed} of {len(limits)} limits passed",
+                "limits": open_ones[:MOST_LIMITS],
+            }
+        )
+    return found
 
 
 def _unit(signal: Signal) -> str:

@@ -3,6 +3,7 @@
 
 const COLORS = ["#d9730d", "#1f5fa8", "#7b3fa0", "#0f8a7a", "#b0265f", "#5b7f13", "#8a5a2b", "#2b9fd0", "#c9a000", "#20262c"];
 const MOST_CURVES = 8; /* of one plot: fewer than there are colours */
+const MOST_NAMED = 3; /* names in a title: the legend has them all */
 const STALE_MS = 4000, RETRY_MS = 5000;
 const SPANS = [["10 min", 600], ["1 h", 3600], ["All", Infinity]];
 const VERBS = {
@@ -51,7 +52,8 @@ const api = (rest) => `/api/runs/${encodeURIComponent(run)}/${rest}`;
 function format(value) {
   if (value === null || value === undefined) return "–";
   const size = Math.abs(value);
-  return size >= 1000 ? value.toFixed(0) : size >= 100 ? value.toFixed(1) : value.toFixed(2);
+  const text = size >= 1000 ? value.toFixed(0) : size >= 100 ? value.toFixed(1) : value.toFixed(2);
+  return Number(text) === 0 ? text.replace("-", "") : text;
 }
 
 function showHead(now) {
@@ -138,7 +140,10 @@ function showDiagnosis(now) {
     .filter(([, , there]) => there)
     .map(([file, label]) => el("a", { href: `/runs/${encodeURIComponent(run)}/${file}`, target: "_blank", rel: "noopener" }, label));
   const said = now.diagnosis || (now.live ? "No diagnosis yet: it is made while the run goes on with --diagnose, or afterwards by `hil diagnose`." : "No diagnosis: `hil diagnose` makes one.");
-  const parts = [el("p", { class: now.diagnosis ? "" : "note" }, said)];
+  const parts = now.tests.map((test) => el("div", { class: `verdict ${test.verdict}` },
+    el("b", {}, { pass: "PASSED", fail: "FAILED" }[test.verdict] || "INCONCLUSIVE"), ` ${test.title}: ${test.text}`,
+    ...test.limits.map((limit) => el("div", { class: "detail" }, limit))));
+  parts.push(el("p", { class: now.diagnosis ? "" : "note" }, said));
   if (links.length) parts.push(el("div", { class: "files" }, ...links));
   if (now.files.review) parts.push(el("p", { class: "note" }, "The Rerun file opens with `hil review RUN`, or in Rerun's web viewer."));
   put("diagnosis", ...parts);
@@ -151,6 +156,10 @@ function showLog(now) {
 }
 
 /* ---- trends ---- */
+
+function titleOf(names) {
+  return names.length <= MOST_NAMED ? names.join(", ") : `${names[0]} and ${names.length - 1} more`;
+}
 
 function makePlots(document_) {
   plots = [];
@@ -183,7 +192,7 @@ function makePlots(document_) {
     for (let at = 0; at < all.length; at += MOST_CURVES) {
       const group = all.slice(at, at + MOST_CURVES);
       const meters = group.filter((value) => value.kind !== "setpoint");
-      add((meters.length ? meters : group).map((value) => value.name).join(", "), unit, group.map((value, k) => ({
+      add(titleOf((meters.length ? meters : group).map((value) => value.name)), unit, group.map((value, k) => ({
         name: value.name, label: value.name, color: COLORS[(k + 1) % COLORS.length], dash: value.kind === "setpoint" ? [5, 3] : [],
       })));
     }

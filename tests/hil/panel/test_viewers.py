@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import shutil
 import socket
 import sqlite3
@@ -38,6 +39,30 @@ def test_a_viewer_sees_state_values_twins_and_alarms_and_a_late_one_the_past(ser
         assert course["time_s"][0] < 1.0 and course["time_s"][-1] > 43.0
         assert course["series"]["T_tank"]["mean"][0] == 25.0 and course["series"]["T_tank"]["mean"][-1] is None
         assert course["series"]["T_tank_C static"]["mean"][-1] is not None
+
+
+def test_a_viewer_sees_the_verdict_of_a_test_and_what_did_not_pass(served, run):
+    limits = [
+        {
+            "id": name,
+            "limit": "T_tank_C < 50",
+            "requirement": "R1",
+            "severity": "major",
+            "step": None,
+            "verdict": verdict,
+            "value": 55.0,
+            "unit": "degC",
+            "at_s": 3.0,
+            "text": "55 °C at 3 s",
+        }
+        for name, verdict in (("hot", "fail"), ("flow", "pass"))
+    ]
+    test = {"id": "a", "title": "<Heat>", "sha256": "0", "verdict": "fail", "judged": "", "limits": limits}
+    (run.path / "verdict.json").write_text(json.dumps({"verdict": "fail", "tests": [test]}), encoding="utf-8")
+    with stream(served, run) as events:
+        _, now = next(events)
+    limit = "hot: T_tank_C < 50: 55 °C at 3 s"
+    assert now["tests"] == [{"verdict": "fail", "title": "<Heat>", "text": "1 of 2 limits passed", "limits": [limit]}]
 
 
 def _next(events, wanted):
