@@ -20,6 +20,10 @@ from hil.report.zoom import HINT, ZoomCurve, zoom_plot
 MEASURED, STATIC = "#30343a", "#e07b1f"
 TRACKED = ("#1f77c9", "#2a9d6f", "#8a4fbf", "#b03a5b")
 _OTHERS = ("#a8322a", "#1f77c9", "#2a9d6f", "#b8860b", "#8a4fbf", "#0f8b8d", "#b03a5b", "#6b705c", "#e07b1f", "#30343a")
+_MOST_CURVES = 8
+"""Most curves of a plot: fewer than there are colours, and their names fit beside it."""
+_LONGEST_LABEL = 40
+"""Most characters of a name beside a figure, a third of its width; the tables have the whole name."""
 _MOST_POINTS = 4000
 """Most points of a curve: a figure of 1200 pixels shows no more."""
 _DPI = 110
@@ -99,7 +103,7 @@ def zoom_plots(drawn: RunCurves) -> Html:
     ]
     for plot in itertools.chain(*groups):
         curves = [ZoomCurve(curve.label, curve.colour, time_s, curve.values) for curve in plot.curves]
-        parts.append(zoom_plot(plot.title, curves, float(time_s[-1]), unit_s=drawn.unit.seconds))
+        parts.append(zoom_plot(plot.title, curves, float(time_s[-1]), drawn.unit))
     return joined(parts)
 
 
@@ -147,7 +151,7 @@ def _residuals(drawn: RunCurves) -> tuple[tuple[Floats, list[_Plot]], float]:
 
 
 def _others(drawn: RunCurves) -> Iterator[_Plot]:
-    """Yield measured signals without a twin or a set-point of their own, a plot for each unit."""
+    """Yield measured signals without a twin or a set-point of their own, by unit, at most `_MOST_CURVES` in a plot."""
     values = good_values(drawn.samples)
     told = {column for columns in drawn.header.twin_sensors.values() for column in columns} if drawn.measured else set()
     told |= {signal.column for pair in pair_actuators(drawn.header.signals).values() for signal in pair}
@@ -155,9 +159,11 @@ def _others(drawn: RunCurves) -> Iterator[_Plot]:
     for k, signal in enumerate(drawn.header.signals):
         if signal.kind == "measured" and signal.column not in told:
             group = units.setdefault(signal.unit, [])
-            group.append(_Curve(signal.name, values[:, k], _OTHERS[len(group) % len(_OTHERS)]))
-    for unit, curves in units.items():
-        yield _Plot(symbol(unit), tuple(curves), 2.6 if len(curves) > 4 else 2.0)
+            group.append(_Curve(signal.name, values[:, k], _OTHERS[len(group) % _MOST_CURVES]))
+    for unit, group in units.items():
+        for first in range(0, len(group), _MOST_CURVES):
+            curves = tuple(group[first : first + _MOST_CURVES])
+            yield _Plot(symbol(unit), curves, 2.6 if len(curves) > 4 else 2.0)
 
 
 def _actuators(drawn: RunCurves) -> Iterator[_Plot]:
@@ -196,7 +202,7 @@ def _picture(heading: str, plots: Any, drawn: RunCurves, time_s: Floats | None =
                 style,
                 color=curve.colour,
                 linewidth=curve.width,
-                label=curve.label,
+                label=_short(curve.label),
                 zorder=curve.above,
             )
         if time_s is not None:
@@ -215,6 +221,12 @@ def _picture(heading: str, plots: Any, drawn: RunCurves, time_s: Floats | None =
     _one_time_axis(list(rows))
     _fit(figure, list(rows), above)
     return joined([element("h2", heading), _embedded(figure)])
+
+
+def _short(name: str) -> str:
+    """Return a name of at most `_LONGEST_LABEL` characters: long ones differ at their ends."""
+    half = _LONGEST_LABEL // 2
+    return name if len(name) <= _LONGEST_LABEL else f"{name[:half]}…{name[-half + 1 :]}"
 
 
 def _thinned(drawn: RunCurves, values: Floats) -> tuple[Floats, Floats]:

@@ -6,7 +6,7 @@ It reads the data blocks of its page, loads nothing, and contains no `<`, so tha
 SCRIPT = """
 'use strict';
 (function () {
-  var range = null, plots = [];
+  var range = null, plots = [], FONT = '12px system-ui, sans-serif';
   function fmt(v) { return Math.abs(v) >= 1e4 ? v.toFixed(0) : String(+v.toPrecision(5)); }
   function ticks(lo, hi, n) {
     var raw = (hi - lo) / n, mag = Math.pow(10, Math.floor(Math.log10(raw))), out = [];
@@ -38,6 +38,7 @@ SCRIPT = """
       if (b - a > (r[1] - r[0]) * 0.01) { range = [a, b]; }
       redraw();
     });
+    this.canvas.addEventListener('pointercancel', function () { me.drag = null; });
     this.canvas.addEventListener('dblclick', function () { range = null; redraw(); });
     this.canvas.addEventListener('wheel', function (e) {
       e.preventDefault();
@@ -51,11 +52,19 @@ SCRIPT = """
     return r[0] + (r[1] - r[0]) * Math.min(1, Math.max(0, (e.offsetX - 60) / w));
   };
   Plot.prototype.draw = function () {
-    var c = this.canvas, scale = window.devicePixelRatio || 1, w = c.clientWidth, h = c.clientHeight;
-    var r = range || this.all;
-    c.width = w * scale; c.height = h * scale;
+    var c = this.canvas, scale = window.devicePixelRatio || 1, w = c.clientWidth, r = range || this.all;
     var g = c.getContext('2d'), lo = Infinity, hi = -Infinity, me = this;
-    g.scale(scale, scale); g.font = '12px system-ui, sans-serif';
+    g.font = FONT;
+    // The names stand above the curves, in as many lines as they need.
+    var left = 66, line = 1, names = this.d.series.map(function (s) {
+      var width = g.measureText(s.name).width;
+      if (left > 66 && left + width > w - 10) { left = 66; line += 1; }
+      left += width + 14;
+      return [s, left - width - 14, 15 * line - 3];
+    });
+    var top = 15 * line + 2, h = 205 + top;
+    c.style.height = h + 'px'; c.width = w * scale; c.height = h * scale;
+    g.scale(scale, scale); g.font = FONT;
     this.d.series.forEach(function (s) {
       s.x.forEach(function (x, i) {
         if (x >= r[0] && r[1] >= x && s.y[i] !== null) { lo = Math.min(lo, s.y[i]); hi = Math.max(hi, s.y[i]); }
@@ -64,14 +73,14 @@ SCRIPT = """
     if (!(hi > lo)) { var mid = isFinite(lo) ? lo : 0; lo = mid - 1; hi = mid + 1; }
     var pad = (hi - lo) * 0.05; lo -= pad; hi += pad;
     function px(x) { return 60 + (x - r[0]) / (r[1] - r[0]) * (w - 70); }
-    function py(y) { return h - 24 - (y - lo) / (hi - lo) * (h - 34); }
+    function py(y) { return h - 24 - (y - lo) / (hi - lo) * (h - 24 - top); }
     g.strokeStyle = '#d8dce0'; g.fillStyle = '#5b636b'; g.lineWidth = 1; g.textAlign = 'right';
     ticks(lo, hi, 5).forEach(function (v) {
       g.beginPath(); g.moveTo(60, py(v)); g.lineTo(w - 10, py(v)); g.stroke(); g.fillText(fmt(v), 54, py(v) + 4);
     });
     g.textAlign = 'center';
     ticks(r[0], r[1], 8).forEach(function (v) { g.fillText(fmt(v), px(v), h - 6); });
-    g.save(); g.beginPath(); g.rect(60, 4, w - 70, h - 28); g.clip();
+    g.save(); g.beginPath(); g.rect(60, top - 2, w - 70, h - 22 - top); g.clip();
     this.d.series.forEach(function (s) {
       g.strokeStyle = s.colour; g.lineWidth = 1.3; g.beginPath();
       var pen = false;
@@ -80,11 +89,6 @@ SCRIPT = """
         if (pen) { g.lineTo(px(x), py(s.y[i])); } else { g.moveTo(px(x), py(s.y[i])); pen = true; }
       });
       g.stroke();
-    });
-    var left = 66;
-    g.textAlign = 'left';
-    this.d.series.forEach(function (s) {
-      g.fillStyle = s.colour; g.fillText(s.name, left, 16); left += g.measureText(s.name).width + 14;
     });
     if (this.cursor !== null) {
       g.strokeStyle = '#30343a'; g.lineWidth = 0.6; g.beginPath();
@@ -95,13 +99,17 @@ SCRIPT = """
       g.fillRect(px(this.drag[0]), 0, px(this.drag[1]) - px(this.drag[0]), h);
     }
     g.restore();
-    this.readout.textContent = this.cursor === null ? '' : fmt(this.cursor) + ' s: ' + this.d.series.map(function (s) {
+    g.textAlign = 'left';
+    names.forEach(function (n) { g.fillStyle = n[0].colour; g.fillText(n[0].name, n[1], n[2]); });
+    var read = this.d.series.map(function (s) {
       var best = null, near = Infinity;
       s.x.forEach(function (x, i) {
-        if (near > Math.abs(x - me.cursor)) { near = Math.abs(x - me.cursor); best = s.y[i]; }
+        if (me.cursor !== null && near > Math.abs(x - me.cursor)) { near = Math.abs(x - me.cursor); best = s.y[i]; }
       });
       return s.name + ' ' + (best === null ? '-' : fmt(best));
-    }).join(', ');
+    });
+    var at = this.cursor === null ? '' : fmt(this.cursor) + ' ' + this.d.unit + ': ';
+    this.readout.textContent = at && at + read.join(', ');
   };
   function redraw() { plots.forEach(function (p) { p.draw(); }); }
   document.querySelectorAll('script.plot').forEach(function (block) { plots.push(new Plot(block)); });

@@ -9,14 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.files import Html, element, joined, plot_data
+from hil.report.statistics import TimeUnit
 
 MOST_POINTS = 4000
 """Most points of a curve: a plot shows the least and the greatest value of each piece of it."""
 PLOT_STYLE = """
-canvas { width: 100%; height: 220px; touch-action: none; cursor: crosshair }
+canvas { width: 100%; height: 220px; touch-action: pan-y; cursor: crosshair }
 h3 { font-size: 1rem; margin-bottom: .2rem } .plotbox p { min-height: 1.3em; margin: .2rem 0 }
 """
 """Style of the plots, beside that of their page."""
+SECONDS = TimeUnit("s", 1.0)
 HINT = "Drag to zoom, turn the wheel, double-click for all."
 
 
@@ -30,17 +32,17 @@ class ZoomCurve:
     values: NDArray[np.float64]
 
 
-def zoom_plot(title: str, curves: Sequence[ZoomCurve], end_s: float, *, unit_s: float = 1.0) -> Html:
+def zoom_plot(title: str, curves: Sequence[ZoomCurve], end_s: float, unit: TimeUnit = SECONDS) -> Html:
     """Return a heading and a plot of curves over 0 to `end_s` s; the page needs `SCRIPT` and `PLOT_STYLE`.
 
-    The axis is in units of `unit_s` s.
+    Axis and readings of the time are in `unit`.
     """
     series = []
     for curve in curves:
         time_s, values = thinned(curve.time_s, curve.values)
         y = [float(f"{value:.6g}") if np.isfinite(value) else None for value in values.tolist()]
-        series.append({"name": curve.name, "colour": curve.colour, "x": (time_s / unit_s).tolist(), "y": y})
-    data = {"title": title, "range": [0.0, max(end_s / unit_s, 1e-9)], "series": series}
+        series.append({"name": curve.name, "colour": curve.colour, "x": (time_s / unit.seconds).tolist(), "y": y})
+    data = {"title": title, "unit": unit.symbol, "range": [0.0, max(end_s / unit.seconds, 1e-9)], "series": series}
     return joined([element("h3", title), plot_data(data)])
 
 

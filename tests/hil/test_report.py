@@ -163,6 +163,7 @@ def test_curves_that_zoom_have_the_unit_of_the_pictures(tmp_path):
     page = page_of(made(tmp_path / "run", samples(period_s=30.0), header(30.0)))
     assert "<h2>Curves that zoom, over record time / min</h2>" in page
     assert '"range":[0.0,99.5]' in page
+    assert '"unit":"min"' in page and "this.d.unit" in page  # of the reading beside the cursor
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 2, 5])
@@ -232,6 +233,19 @@ def test_no_plot_is_empty(monkeypatch):
         np.isfinite(line.get_ydata()).any() for lines in drawn.axes for line in lines if len(line.get_ydata()) > 2
     )
     assert all(lines for lines in drawn.axes)
+
+
+def test_many_signals_of_one_unit_take_several_plots_and_long_names_are_cut_in_the_middle(monkeypatch):
+    drawn, names = Drawn(monkeypatch), [f"T_{'of_the_condenser_' * 5}{k:02d}" for k in range(19)]
+    told = curves().samples
+    values = np.zeros((300, len(names))) + np.arange(len(names))
+    told = replace(told, values=values, quality=np.zeros(values.shape, dtype=np.uint8), source_time_s=values)
+    about = replace(curves().header, signals=tuple(Signal(name, "degC") for name in names), twin_sensors={})
+    pictures(curves(header=about, samples=told, measured={}, twins={}))
+    labels = [[line.get_label() for line in lines] for lines in drawn.axes]
+    assert [len(row) for row in labels] == [8, 8, 3]
+    shown = [label for row in labels for label in row]
+    assert len(set(shown)) == len(names) and max(map(len, shown)) <= 40
 
 
 def test_a_curve_is_broken_where_the_run_was_cut(monkeypatch):
