@@ -13,7 +13,17 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from drivers.rig_file import MOST_DESCRIPTION, Layout, Point, decoded, mistake, read_regular, shown, unwritable
+from drivers.rig_file import (
+    LONGEST_NAME,
+    MOST_DESCRIPTION,
+    Layout,
+    Point,
+    decoded,
+    mistake,
+    read_regular,
+    shown,
+    unwritable,
+)
 from drivers.signals import ConfigurationError, canonical_unit, in_ascii, known_unit
 
 _BY_ONE, _BY_MANY = frozenset((5, 6)), frozenset((15, 16))
@@ -200,6 +210,7 @@ class Collector:
         stem = re.sub(r"[^A-Za-z0-9_]+", "_", in_ascii(wanted)).strip("_") or "point"
         if not stem[0].isalpha():
             stem = f"p_{stem}"
+        stem = stem[: LONGEST_NAME - len("_9999")].rstrip("_")  # with room for the number of an equal name
         count = self._names.get(stem, 0) + 1
         self._names[stem] = count
         if count == 1:

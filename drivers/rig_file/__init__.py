@@ -32,7 +32,7 @@ from drivers.rig_file.interlock_specs import (
     SensorSpec,
 )
 from drivers.rig_file.messages import mistake, shown
-from drivers.rig_file.model import Heartbeat, Point, Rig
+from drivers.rig_file.model import LONGEST_NAME, Heartbeat, Point, Rig
 from drivers.rig_file.plain_values import checked_host
 from drivers.rig_file.reader import RigFileError, file_sha256, load_rig, located
 from drivers.rig_file.text import (
@@ -47,6 +47,7 @@ from drivers.rig_file.text import (
 from drivers.rig_file.wires import device_of_bus, serial_device, wire_of_bus
 
 __all__ = [
+    "LONGEST_NAME",
     "MOST_DESCRIPTION",
     "AlarmSpec",
     "AnyBus",

@@ -120,6 +120,8 @@ def mistake(item: Any) -> str:
             ", starting with a letter" if "A-Z" in context["pattern"] else ""
         )
         return f"{shown(given)} must be {letters}; rename it{_proposed(given)}"
+    if kind == "string_too_long":
+        return f"{shown(given)} has {len(given)} characters, at most {context['max_length']} are taken; shorten it"
     if kind in ("too_short", "too_long", "missing_argument"):
         least, most = context.get("min_length"), context.get("max_length")
         count = least if least is not None else most

@@ -37,6 +37,10 @@ def _tolerance(sentinel: float) -> float:
     return 1e-9 * max(1.0, abs(sentinel))
 
 
+LONGEST_NAME = 120
+"""Most characters of the name of a point or bus: alarms and columns append to it, and pages show it."""
+
+
 class Point(Section):
     """Quantity on a bus: its place, the conversion of its raw value, its limits and its checks.
 
@@ -46,7 +50,7 @@ class Point(Section):
     once, when the rig is connected, and must be `expect` where that is given: a serial number, a firmware.
     """
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=LONGEST_NAME)]
     bus: str
     unit: str
     access: Literal["r", "w", "rw"] = "r"
@@ -260,7 +264,7 @@ class Rig(Section):
     suspend_at_most_s: Annotated[float, Field(ge=0)] = 0.0
     twin: Path | None = None
     heartbeat: Heartbeat | None = None
-    bus: dict[str, Annotated[AnyBus, Field(discriminator="transport")]]
+    bus: dict[Annotated[str, Field(max_length=LONGEST_NAME)], Annotated[AnyBus, Field(discriminator="transport")]]
     point: tuple[Point, ...]
     interlock: tuple[InterlockSpec, ...] = ()
     alarm: tuple[AlarmSpec, ...] = ()

@@ -186,6 +186,7 @@ unit = "1"
             8,
             "name of point 1p: '1p' must be letters a to z, digits and under",
         ),
+        ('name = "p"', f'name = "{"p" * 121}"', 8, "has 121 characters, at most 120 are taken; shorten it"),
         ('transport = "modbus_tcp"', 'host = "h"', 4, "bus.plc: transport is missing; add it"),
         ('transport = "modbus_tcp"', 'transport = "modbus_tcp"\nhole = [{}]', 6, "bus.plc.hole.table: is missing"),
     ],
