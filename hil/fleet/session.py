@@ -176,7 +176,8 @@ class _Session:
         if slots == 0 and now - self._noticed > NOTICE_S:
             self._noticed = now
             self._note(
-                "no worker is connected; the jobs wait. Start one with `dask worker ADDRESS`, or stop with Ctrl-C"
+                "no worker is connected; the jobs wait. One of this machine starts again by itself, another one with "
+                "`dask worker ADDRESS`; Ctrl-C stops"
             )
 
     def _submitted(self, executor: Executor, job: Job) -> Future[Answer] | None:

@@ -216,6 +216,8 @@ def _sentence(path: Path, text: str, document: dict[str, Any], item: Any) -> str
 def _remedy(place: tuple[int | str, ...], item: Any) -> str:
     """Return the mistake with its remedy; for a key that is not known, the nearest one."""
     said = mistake(item)
+    if place in (("step",), ("limit",)) and item["type"] != "missing" and isinstance(item["input"], dict):
+        return f"is one table; begin each with [[{place[0]}]]"
     if item["type"] != "extra_forbidden":
         return said
     sections: dict[str, type[BaseModel]] = {"step": StepSection, "limit": LimitSection}

@@ -44,6 +44,7 @@ from hil.testing.limits import (
         ("largest error of pso at x < 1 K", TwinError("largest", "pso", "x", Bound("<", Amount(1.0, "K")))),
         ("RMSE of the twin at x < 0.3 K", TwinError("rmse", "twin", "x", Bound("<", Amount(0.3, "K")))),
         ("Mean of x > 1 W", Compared("mean", "x", Bound(">", Amount(1.0, "W")))),
+        ("x measured within 5 percent of setpoint", Follows("x", Amount(5.0, "%"))),
         ("x measured within 5 % of its set point", Follows("x", Amount(5.0, "%"))),
         ("no effect found", NoEffect()),
         ("no trip", NoTrip()),
@@ -68,6 +69,7 @@ def test_times_and_conditions_end_a_sentence():
     [
         ("", "is empty"),
         ("x", "has its end after 'x'; write one of <"),
+        ("median of x < 3", "asks for the median of a signal, which is not known; there are mean, max"),
         ("x <", "has its end after '<'; write a number"),
         ("x = 5", "has '='"),
         ("x << 5", "has '<<'"),

@@ -138,6 +138,7 @@ def test_a_run_without_journal_and_one_of_another_profile_are_refused_in_a_sente
         ('id = "p"\n[[limits]]\nid = "a"\n', "did you mean limit?"),
         ('trip_on = "major"\n', "id: is missing"),
         ('[[step]]\nname = "x"\nfrom = "1 s"\nto = "2 s"\n', "limit: is missing"),
+        ('id = "p"\n[limit]\nid = "a"\n', "line 2: limit: is one table; begin each with [[limit]]"),
     ],
 )
 def test_a_plan_without_limits_is_checked_as_a_plan(tmp_path, text, said):

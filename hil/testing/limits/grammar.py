@@ -151,7 +151,8 @@ class _Parser:
 
     def _unit(self) -> str | None:
         is_unit = self._kind() == "word" and self._peek() not in _KEYWORDS
-        return self._take() if is_unit else None
+        unit = self._take() if is_unit else None
+        return "%" if unit == "percent" else unit
 
     def _amount(self) -> Amount:
         return Amount(self._number("a number with its unit"), self._unit())
@@ -275,6 +276,9 @@ class _Parser:
                 self._expect("below")
             threshold = Bound(side, self._amount())
             return Compared("longest" if longest else "time", name, self._bound(), threshold=threshold)
+        if self._kind() == "word" and self._peek(1).lower() == "of":
+            known = ", ".join([*dict.fromkeys(_STATISTICS.values()), "50th percentile", "time", *_RAMPS])
+            raise SentenceError(f"asks for the {word} of a signal, which is not known; there are {known}")
         return Compared("value", self._name(), self._bound())
 
     def _window(self) -> Window:
