@@ -10,15 +10,16 @@ from pathlib import Path
 import pytest
 
 from drivers.rig_file.reader import load_rig
-from drivers.signals.points import LinkError
-from drivers.virtual.devices.registers import WATCHDOG
+from drivers.signals.points import DeviceExceptionError, LinkError
+from drivers.virtual.devices.registers import HEARTBEAT, WATCHDOG
 from drivers.virtual.devices.truth import Moment, read_truth
 from drivers.virtual.rig import start_virtual_rig
 from hil.bench.faults.rig import LOAD, rig_text
 from hil.run.engine.operator import Verb
+from hil.run.outputs.outputs import Outputs
 from tests.drivers.test_rigfile import VIRTUAL, broken, complaint
 from tests.hil.engine_bench import EngineBench
-from tests.hil.simulated_rig import rig_with
+from tests.hil.simulated_rig import SimulatedRig, rig_with
 
 PROJECT = Path(__file__).resolve().parents[2]
 
@@ -50,9 +51,40 @@ def test_a_rig_that_does_not_hold_the_time_out_is_not_armed():
         assert not bench.violations
 
 
+class Tripped(SimulatedRig):
+    """A rig whose watchdog has tripped: it is armed after another beat than the one it holds, and refuses before."""
+
+    def __init__(self, beat: int, readable: bool) -> None:
+        rig = rig_with()
+        points = tuple(
+            p.model_copy(update={"access": "rw" if readable else "w"}) if p.name == "heartbeat" else p
+            for p in rig.point
+        )
+        super().__init__(rig.model_copy(update={"point": points}))
+        self.registers.write(HEARTBEAT, [beat, 50, 1])
+        self.registers.supervise(60.0, 20.0)
+        assert not self.armed
+
+    async def write(self, values: dict[str, float]) -> None:
+        await super().write(values)
+        if values.get("arm") and not self.armed:
+            raise DeviceExceptionError("plc refused to write holding 5", 3)
+
+
+@pytest.mark.parametrize("readable", [True, False])
+@pytest.mark.parametrize("beat", [1, 2, 65535])
+async def test_a_rig_is_armed_whatever_beat_a_killed_run_has_left(beat, readable):
+    rig = Tripped(beat, readable)
+
+    async def advance() -> None:
+        rig.pass_time(1.0)
+
+    await Outputs(rig).arm(advance, lambda snapshot: None)  # type: ignore[arg-type]
+    assert rig.armed
+
+
 async def test_a_rig_that_refuses_the_time_out_is_not_armed():
     from drivers.rig.connection import RigConnection
-    from hil.run.outputs.outputs import Outputs
 
     async with await start_virtual_rig(period_s=0.1) as virtual:
         rig = load_rig(VIRTUAL).with_ports({"plc": virtual.modbus_port, "thermocouples": virtual.can_port})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections.abc import Awaitable, Callable, Mapping
 
 from drivers.rig import RigConnection
@@ -60,21 +61,38 @@ class Outputs:
     async def arm(self, advance: Callable[[], Awaitable[None]], tripped: Callable[[Snapshot], str | None]) -> None:
         """Write safe set-points, give the rig's watchdog its time-out, start the heartbeat, arm the outputs.
 
-        Raises LinkError where the rig does not hold that time-out or stays tripped.
+        Raises LinkError where the rig does not hold that time-out, stays tripped or refuses to be armed.
         """
         await self._connection.write(self.values)
         if self._rig.heartbeat is None:
             return
         await self._set_watchdog()
+        await self._count_on()
         why: str | None = None
         for _ in range(ARMING_TICKS):
             await self._connection.write(self.heartbeat())
-            await self._write_arm()
+            refused = None
+            try:
+                await self._write_arm()
+            except DeviceExceptionError as error:  # a rig may wait for a beat that it has seen change
+                refused = f"the rig refuses to be armed ({error})"
             await advance()
-            why = tripped(await self._connection.read())
+            why = tripped(await self._connection.read()) or refused
             if why is None:
                 return
         raise LinkError(f"not started: {why}")
+
+    async def _count_on(self) -> None:
+        """Count on from the beat that the rig holds: it waits for another one, and a run that was killed may have left
+        the one that this run would begin with.
+        """
+        assert self._rig.heartbeat is not None
+        name = self._rig.heartbeat.point
+        if self._rig.get(name).access != "rw":
+            return
+        with contextlib.suppress(DriverError):  # a device that does not tell is armed on a later tick
+            held = (await self._connection.read_back((name,)))[name]
+            self._beat = round(held) % 65536 if math.isfinite(held) else self._beat
 
     async def move(self, targets: Mapping[str, float], elapsed_s: float) -> dict[str, float]:
         """Move towards `targets` for `elapsed_s`, or keep what is where there are none; return the values that changed.
