@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         TwinOutput,
     )
     from hil.journal.states import (
+        ACKNOWLEDGED,
         ENDED,
         HEATED,
         LIVE,
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from hil.journal.writer import JournalWriter
 
 __all__ = [
+    "ACKNOWLEDGED",
     "ENDED",
     "HEATED",
     "LIVE",
@@ -111,6 +113,7 @@ __getattr__, __dir__ = lazy_names(
             "TwinOutput",
         ),
         "states": (
+            "ACKNOWLEDGED",
             "ENDED",
             "RunEvent",
             "HEATED",

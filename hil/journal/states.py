@@ -111,6 +111,10 @@ WAITING = frozenset({State.HELD, State.PAUSED})
 """States that a person ends."""
 
 
+ACKNOWLEDGED = "trip acknowledged"
+"""Begin of the event that a trip was acknowledged: the run stays paused, so that there is no transition."""
+
+
 class TransitionError(Exception):
     """Event that has no transition from the present state."""
 

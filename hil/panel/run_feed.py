@@ -16,7 +16,7 @@ import numpy as np
 
 from drivers.signals import Quality, Signal
 from hil.alarms import AlarmError, AlarmWatch, alarm_document
-from hil.journal import ENDED, JournalError, JournalReader, JournalSamples, State, StateRow, TwinOutput
+from hil.journal import ACKNOWLEDGED, ENDED, JournalError, JournalReader, JournalSamples, State, StateRow, TwinOutput
 from hil.panel.errors import PanelError
 from hil.panel.trends import Trends, number
 from hil.run_folder import RunFolder, RunFolderError, left_safe, read_diagnosis_verdict, read_notes, read_verdict
@@ -68,7 +68,7 @@ class RunFeed:
         self._fresh: list[dict[str, Any]] = []
         self._past: tuple[int, bytes] | None = None
         self._state: StateRow | None = None
-        self._tripped = False
+        self._tripped_at, self._acknowledged = -1, (-1, "")
         self._events: list[dict[str, Any]] = []
         self._slow: dict[str, Any] = {}
         self._slow_at = -math.inf
@@ -170,9 +170,11 @@ class RunFeed:
         for row in self._reader.states(self._state_id):
             self._state_id, self._state = row.id, row
             if row.event == "trip" or row.target in (State.RUNNING, State.RESTORING):
-                self._tripped = row.event == "trip"
+                self._tripped_at = row.tick if row.event == "trip" else -1
         for event in self._reader.events(self._event_id):
             self._event_id = event.id
+            if event.text.startswith(ACKNOWLEDGED):
+                self._acknowledged = event.tick, event.text
             self._events.append({"time_s": event.time_s, "level": event.level, "text": event.text})
         self._events = self._events[-MOST_EVENTS:]
 
@@ -195,8 +197,8 @@ class RunFeed:
             "run": self._folder.path.resolve().name,
             "live": live,
             "state": self.state or "beginning",
-            "reason": "" if state is None else state.reason,
-            "tripped": self._tripped,
+            "reason": self._reason(),
+            "tripped": self._tripped_at > self._acknowledged[0],
             "profile": header.profile,
             "time_s": time_s,
             "profile_s": number(profile_s),
@@ -211,6 +213,13 @@ class RunFeed:
             **self._slow,
             "status": self._status(is_held),
         }
+
+    def _reason(self) -> str:
+        """Return why the run is in its state; a trip that was acknowledged leaves it as it is."""
+        tick, text = self._acknowledged
+        if self._state is not None and self._state.event == "trip" and self._state.tick <= tick:
+            return text
+        return "" if self._state is None else self._state.reason
 
     def _status(self, is_held: bool | None) -> str:
         """Return the state as the manifest has it, `interrupted` for a run that nobody holds any more."""

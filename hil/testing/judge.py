@@ -115,7 +115,7 @@ class _Times:
             time_s[counts],
             x[counts],
             position[counts],
-            np.cumsum(data.stood)[inside][counts],
+            np.cumsum(data.stood, dtype=np.int64)[inside][counts],
             unknown,
             wanted.start,
             data.period_s,

@@ -69,7 +69,7 @@ def test_junit_is_read_by_a_program_of_others(judged):
     assert (suite.name, suite.tests, suite.failures, suite.errors, suite.skipped) == ("small", 4, 2, 1, 0)
     cases = list(suite)
     assert [case.is_passed for case in cases] == [True, False, False, False]
-    assert "the limit is < 1 degC" in cases[1].result[0].message
+    assert "the limit is < 1 °C" in cases[1].result[0].message
     assert isinstance(cases[2].result[0], reader.Error)
     assert {p.name: p.value for p in suite.properties()}["requirement.L4"] == "REQ-2"
 

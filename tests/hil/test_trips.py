@@ -133,7 +133,7 @@ def test_a_trip_is_acknowledged_when_its_cause_is_gone_and_then_the_run_is_resum
         bench.ask(Verb.ACK)
         bench.ticks(2)
         assert not bench.engine.status().trips
-        assert bench.state == "paused"
+        assert bench.state == "paused" and bench.engine.status().reason.startswith("trip acknowledged (")
         assert bench.ask(Verb.RESUME) == f"running at {before:g} s of the profile"
         assert bench.rig.heater_W == pytest.approx(100.0)  # through the slew rate of 100 W/s
         assert not bench.violations

@@ -73,7 +73,7 @@ function showHead(now) {
     .filter(([verb]) => verb !== "ack" || (now.live && now.tripped))
     .map(([verb, [label, , states]]) =>
       el("button", {
-        type: "button", class: verb === "abort" ? "stop" : "", disabled: !now.live || (states !== null && !states.includes(now.state)),
+        type: "button", class: verb === "abort" ? "stop" : "", disabled: !now.live || (states !== null && !states.includes(now.state)) || (verb === "resume" && now.tripped),
         onclick: () => askVerb(verb), "data-verb": verb,
       }, label));
   const key = JSON.stringify([now.live, now.state, now.tripped]);

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 
 from drivers.rig_file import Point, Rig
 from drivers.signals import Snapshot
-from hil.journal import HEATED, RunEvent, State, StateMachine, Transition, next_state
+from hil.journal import ACKNOWLEDGED, HEATED, RunEvent, State, StateMachine, Transition, next_state
 from hil.run.engine.operator import URGENT, Desk, RefusedError, Request, Verb, event_of, refusal, unheard
 from hil.run.interlocks import Interlocks, InterlockStatus, Residuals
 from hil.run.outputs import ARMING_TICKS
@@ -51,7 +51,7 @@ class Supervisor:
         self._desk = Desk()
         self._obeyed: list[Request] = []
         self._aborting: list[Request] = []
-        self._acking: tuple[Request, int] | None = None
+        self._acking: tuple[Request, int, tuple[str, ...]] | None = None
         self._trips: tuple[str, ...] = ()
         self._tripped_s = 0.0
         self._stop_reason: str | None = None
@@ -160,8 +160,7 @@ class Supervisor:
             elif request.verb is Verb.ACK and self._acking is not None:
                 request.refuse("an acknowledgement is under way; see `hil ctl status`")
             elif request.verb is Verb.ACK:
-                self._acking = request, ARMING_TICKS
-                self._note("INFO", f"acknowledged {request.reason}: {'; '.join(trips)}")
+                self._acking = request, ARMING_TICKS, trips
             else:
                 event = event_of(request.verb, restoring=self.restoring)
                 if next_state(self.state, event) is not None:
@@ -172,13 +171,16 @@ class Supervisor:
         """Let go of trips whose causes are gone. The rig's own goes when it is armed again, which takes a tick."""
         if self._acking is None:
             return
-        request, left = self._acking
+        request, left, trips = self._acking
         stay = self.interlocks.acknowledge()
-        self._acking = None if not stay or left == 0 else (request, left - 1)
+        self._acking = None if not stay or left == 0 else (request, left - 1, trips)
         if not stay:
             self._trips = ()
+            self.machine.reason = f"{ACKNOWLEDGED} ({request.reason})"
+            self._note("INFO", f"{self.machine.reason}: {'; '.join(trips)}")
             request.done(f"acknowledged; the run is {self.state}, `hil ctl resume` lets it go on")
         elif left == 0:
+            self._note("WARN", f"acknowledgement refused ({request.reason}), still there: {'; '.join(stay)}")
             request.refuse(f"still there: {'; '.join(stay)}")
 
     def _overdue(self, now_s: float) -> End | None:

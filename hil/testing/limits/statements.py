@@ -23,7 +23,8 @@ class Amount:
     unit: str | None = None
 
     def __str__(self) -> str:
-        return f"{self.number:g}" if self.unit is None else f"{self.number:g} {self.unit}"
+        unit = {None: "", "1": "", "degC": "°C"}.get(self.unit, self.unit)
+        return f"{self.number:g} {unit}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ import time
 
 import pytest
 
+from hil.journal import ACKNOWLEDGED
 from hil.panel import app as app_module
 from hil.run_folder import RunFolder, new_manifest
 from tests.hil.panel.served import Served, stream
@@ -63,6 +64,22 @@ def test_a_viewer_sees_the_verdict_of_a_test_and_what_did_not_pass(served, run):
         _, now = next(events)
     limit = "hot: T_tank_C < 50: 55 °C at 3 s"
     assert now["tests"] == [{"verdict": "fail", "title": "<Heat>", "text": "1 of 2 limits passed", "limits": [limit]}]
+
+
+def test_a_viewer_sees_that_a_trip_is_acknowledged_before_the_run_goes_on(served, run):
+    writer = run.run.writer
+    writer.state(20, 20.0, 20.0, "running", "trip", "paused", "tripped: too hot")
+    writer.commit()
+    with stream(served, run) as events:
+        _, now = next(events)
+        assert now["tripped"] and now["reason"] == "tripped: too hot"
+        writer.event(25, 25.0, "INFO", f"{ACKNOWLEDGED} (panel, Ada): too hot")
+        run.step(25.0)
+        now = _next(events, lambda state: not state["tripped"])
+        assert now["state"] == "paused" and now["reason"] == f"{ACKNOWLEDGED} (panel, Ada): too hot"
+        writer.state(50, 50.0, 20.0, "paused", "trip", "paused", "tripped: again")
+        run.step(25.0)
+        assert _next(events, lambda state: state["tripped"])["reason"] == "tripped: again"
 
 
 def _next(events, wanted):
