@@ -18,6 +18,20 @@ from typing import Any
 
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
 """Content-Security-Policy: no script, no frame, no form, and nothing from anywhere else."""
+PRINTED = """
+@page { size: A4; margin: 14mm 12mm }
+@media print {
+body { max-width: none; margin: 0; padding: 0; font-size: 9pt }
+table { display: table; width: auto; max-width: 100%; overflow: visible; font-size: 8pt }
+td, th { min-width: 0 !important; padding: 1mm 1.2mm }
+td:first-child, td.text, td:last-child { white-space: normal; overflow-wrap: break-word }
+td.text { overflow-wrap: anywhere }
+img { width: auto; max-width: 100%; max-height: 240mm }
+tr, img, figure, canvas { break-inside: avoid } h1, h2, h3, tr:first-child { break-after: avoid }
+.screen { display: none }
+}
+"""
+"""Style of every page on paper: no table is cut, no heading stands alone, and parts of class `screen` are left out."""
 _NAME = re.compile(r"[a-z][a-z0-9-]*")
 _VOID = frozenset(("img", "br", "hr", "meta"))
 _ACTIVE = frozenset(("script", "iframe", "object", "embed", "link", "style", "base", "form", "meta"))
@@ -132,7 +146,8 @@ def document(title: str, style: str, body: Iterable[HtmlPart], script: str = "")
     head = (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
-        f"<title>{_escaped(title)}</title><style>{style}</style></head><body>"
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{_escaped(title)}</title><style>{style}{PRINTED}</style></head><body>"
     )
     end = f"<script>{script}</script>" if script else ""
     return head + "\n".join(_markup(part) for part in body if part) + f"{end}</body></html>\n"

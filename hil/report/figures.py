@@ -104,7 +104,7 @@ def zoom_plots(drawn: RunCurves) -> Html:
     for plot in itertools.chain(*groups):
         curves = [ZoomCurve(curve.label, curve.colour, time_s, curve.values) for curve in plot.curves]
         parts.append(zoom_plot(plot.title, curves, float(time_s[-1]), drawn.unit))
-    return joined(parts)
+    return element("div", joined(parts), class_="screen")  # paper has the figures
 
 
 def twin_colours(names: Sequence[str]) -> dict[str, str]:

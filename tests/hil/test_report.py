@@ -164,6 +164,9 @@ def test_curves_that_zoom_have_the_unit_of_the_pictures(tmp_path):
     assert "<h2>Curves that zoom, over record time / min</h2>" in page
     assert '"range":[0.0,99.5]' in page
     assert '"unit":"min"' in page and "this.d.unit" in page  # of the reading beside the cursor
+    on_paper = page[page.index("@media print") : page.index("</style>")]
+    assert ".screen { display: none }" in on_paper and "overflow: visible" in on_paper
+    assert page.count('<div class="screen"><h2>Curves that zoom') == 1
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 2, 5])
