@@ -22,11 +22,13 @@ from hil.cli.run_commands.report import command as report
 from hil.cli.twin_commands.commission import command as commission
 from hil.diagnosis.store import CURVES, curves_of, write_curves, write_document
 from hil.errors import exit_code
+from hil.journal.writer import JournalWriter
 from hil.record.reader import RecordError
 from hil.review import write_review
+from hil.run.engine import Outcome
 from hil.run.session.derived_files import DerivedFiles, derive_files, missing_sentence
 from hil.run.session.interrupted_run import request_of
-from hil.run.session.manifest import RUN_UID
+from hil.run.session.manifest import END_KEYS, END_OF_RUN, RUN_UID, end_entries
 from hil.run.session.regenerate import regenerate_files
 from hil.run_folder import read_verdict
 from hil.run_folder.folder import FolderLostError, RunFolderError
@@ -35,6 +37,7 @@ from tests.hil.ended_run import ended_run
 from tests.hil.made_diagnosis import SENSORS
 from tests.hil.made_diagnosis import made as diagnosis
 from tests.hil.made_plan import plan_text
+from tests.hil.synthetic_journal import make, narrowed
 
 ALL = {"run.json", "journal.sqlite", "record.parquet", "review.rrd", "report.html"}
 
@@ -211,6 +214,22 @@ def test_a_run_killed_before_it_could_say_how_it_ended_is_reported_by_its_journa
     found = folder.read_manifest()
     assert (found["exit_status"], found["reason"], found["ticks"]) == ("done", "the profile is over", 300)
     assert names(folder) == ALL
+    assert "NOT confirmed safe" in folder.report.read_text(encoding="utf-8")  # its journal does not tell
+
+
+def test_the_journal_keeps_how_a_run_ended_that_was_killed_before_its_manifest(tmp_path):
+    folder, manifest = made(tmp_path / "run")
+    end = end_entries(folder, manifest, Outcome("done", "the profile is over", 300, safe=True), None, 9.0)
+    assert set(end) == set(END_KEYS)
+    writer = JournalWriter(folder.journal, narrowed(make(300)).header, again=True)
+    writer.put_meta(END_OF_RUN, end | {"uid": "of another"})
+    writer.close()
+    begun = {key: value for key, value in manifest.items() if key not in END_KEYS}
+    folder.write_manifest(begun | {"exit_status": "running", "reason": "", "segments": []})
+    regenerate_files(folder, False, lambda text: None)
+    found = folder.read_manifest()
+    assert left_safe(found) and found["wall_s"] == 9.0 and found["uid"] == manifest["uid"]
+    assert "left at its safe value, read back" in folder.report.read_text(encoding="utf-8")
 
 
 def test_a_test_that_was_killed_during_its_last_diagnosis_is_judged_and_names_the_lack(tmp_path):

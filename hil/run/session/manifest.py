@@ -61,6 +61,28 @@ def interruption_reason(manifest: dict[str, Any], was: RunPosition) -> str:
     return f"the run {manifest['exit_status']} ({manifest['reason']})"
 
 
+END_OF_RUN = "end_of_run"
+"""Key of the journal's metadata for the entries on the end of a run: `run.json` gets them after the last diagnosis."""
+END_KEYS = (
+    "ended",
+    "exit_status",
+    "deviations",
+    "reason",
+    "safe",
+    "untouched",
+    "away",
+    "guardian",
+    "trips",
+    "ticks",
+    "rig_restarts",
+    "overruns",
+    "wall_s",
+    "segments",
+    "problems",
+)
+"""Entries of a manifest on the end of its run, see `end_entries`."""
+
+
 def end_entries(
     folder: RunFolder, manifest: dict[str, Any], outcome: Outcome, resumption: Resumption | None, wall_s: float
 ) -> dict[str, Any]:

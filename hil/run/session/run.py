@@ -29,7 +29,7 @@ from hil.run.engine import (
 from hil.run.locks import RigClaim
 from hil.run.restore import Resumption, clocks_recorded, restore_calibrators
 from hil.run.session.derived_files import REPORT, REVIEW, DerivedFiles, derive_files
-from hil.run.session.manifest import RUN_UID, end_entries
+from hil.run.session.manifest import END_OF_RUN, RUN_UID, end_entries
 from hil.run.session.request import RunInputs, RunRequest
 from hil.run.session.rig_time import rig_and_clock
 from hil.run.session.services import (
@@ -160,6 +160,9 @@ async def _run_in(run: PreparedRun) -> RunResult:
         live = await _started(stack, run, journal)
         outcome = await _replayed(run, live)
         run.claim.release()  # what follows needs no rig
+        # A kill from here on must not lose how the run ended.
+        spent_s = asyncio.get_running_loop().time() - live.began_s
+        journal.put_meta(END_OF_RUN, end_entries(folder, manifest, outcome, run.resumption, spent_s))
         last = await _last_results(stack, run, live, outcome)
         manifest |= end_entries(folder, manifest, outcome, run.resumption, last.wall_s) | _result_entries(last)
         journal.put_meta("exit_status", outcome.status)
@@ -194,6 +197,7 @@ async def _begun_journal(stack: contextlib.AsyncExitStack, run: PreparedRun) -> 
     stack.callback(_closed, journal)
     journal.put_meta(RUN_UID, run.manifest["uid"])
     journal.put_meta(META_KEY, as_document(definitions_of(run.ready.rig)))
+    journal.put_meta(END_OF_RUN, None)
     await stack.enter_async_context(clocks_recorded(journal))
     if resumption is not None and State(resumption.position.state) not in ENDED:
         was = resumption.position
