@@ -206,8 +206,8 @@ def _ramp(limit: Limit, said: Compared, known: RigSignals, from_s: float, to_s: 
     value_unit, slash, time_unit = (written or "").rpartition("/")
     if not slash or time_unit not in TIMES_S:
         raise _MismatchError(f"needs the unit of a rate; write {said.bound.amount.number:g} {shown}/min")
-    per_s = TIMES_S[time_unit]
-    over_s = per_s if said.over_s is None else said.over_s
+    rate = f"{shown}/{time_unit}"
+    over_s = TIMES_S[time_unit] if said.over_s is None else said.over_s
     _require_time(over_s, to_s - from_s)
     if over_s < known.period_s:
         raise _MismatchError(
@@ -215,12 +215,12 @@ def _ramp(limit: Limit, said: Compared, known: RigSignals, from_s: float, to_s: 
         )
     amounts = []
     for amount in (said.bound.amount, said.bound.upper):
-        number = None if amount is None else amount.number * factor_to(unit, value_unit, difference=True) / per_s
-        amounts.append(None if number is None else Amount(number * 60.0, f"{shown}/min"))
+        number = None if amount is None else amount.number * factor_to(unit, value_unit, difference=True)
+        amounts.append(None if number is None else Amount(number, rate))
     assert amounts[0] is not None
     bound = Bound(said.bound.operator, amounts[0], amounts[1])
     _require_order(said.bound, amounts[0], amounts[1])
-    return BoundLimit(limit, replace(said, bound=bound, over_s=over_s), columns, f"{shown}/min", from_s, to_s)
+    return BoundLimit(limit, replace(said, bound=bound, over_s=over_s), columns, rate, from_s, to_s)
 
 
 def _require_time(needed_s: float, there_s: float) -> None:

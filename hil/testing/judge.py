@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.testing.bound_limits import BoundLimit
-from hil.testing.limits import Bound, Compared, Follows, NoEffect, NoTrip, Settles, TwinError
+from hil.testing.limits import TIMES_S, Bound, Compared, Follows, NoEffect, NoTrip, Settles, TwinError
 from hil.testing.plan import Limit
 from hil.testing.run_data import Floats, RunData, carried_on, longest_piece, root_mean_square, ticks_within
 from hil.testing.settling import judge_settling
@@ -253,7 +253,7 @@ def _statistic(times: _Times, said: Compared, unit: str) -> Finding:
         value, at_s = float(times.x[at]), float(times.time_s[at])
         grows = said.bound.upper is None and said.bound.operator.startswith("<" if said.measure == "max" else ">")
     elif said.measure == "ramp":
-        steepest = _steepest(times, said)
+        steepest = _steepest(times, said, TIMES_S[unit.rpartition("/")[2]])
         if steepest is None:
             stood = len(np.unique(times.part)) > 1 and not times.is_missing
             return (
@@ -317,14 +317,14 @@ def _reaches(least: float, most: float, bound: Bound) -> bool:
     return bool(within(np.array([least if bound.operator.startswith("<") else most]), bound)[0])
 
 
-def _steepest(times: _Times, said: Compared) -> tuple[float, float] | None:
-    """Return the steepest change over `over_s` in units a minute, and its beginning in s; None without a pair."""
+def _steepest(times: _Times, said: Compared, per_s: float) -> tuple[float, float] | None:
+    """Return the steepest change over `over_s` in units in `per_s`, and its beginning in s; None without a pair."""
     assert said.over_s is not None
     later = np.searchsorted(times.time_s, times.time_s + said.over_s - 0.5 * times.period_s)
     there = later < len(times.time_s)
     first, last = np.flatnonzero(there), later[there]
     apart = times.time_s[last] - times.time_s[first]
-    change = (times.x[last] - times.x[first]) / apart * 60.0
+    change = (times.x[last] - times.x[first]) / apart * per_s
     # While the profile stood, the value went on by an unknown time of the profile.
     is_pair = (np.abs(apart - said.over_s) <= (0.5 + _SAME_S) * times.period_s) & (
         times.part[last] == times.part[first]

@@ -214,3 +214,5 @@ def test_a_ramp_is_the_change_over_the_time_between_its_two_ticks(tmp_path):
     tank = made_run(T_tank_C=0.1 * WHOLE)
     for over in ("1400 ms", "1500 ms", "10 s"):
         assert judged(tmp_path, f"ramp of T_tank_C over {over} < 7 K/min", tank).value == pytest.approx(6.0)
+    found = judged(tmp_path, "ramp of T_tank_C < 0.09 K/s", tank)
+    assert (found.value, found.unit, found.verdict) == (pytest.approx(0.1), "K/s", "fail") and "0.09 K/s" in found.text

@@ -109,7 +109,7 @@ def test_amounts_get_the_unit_of_their_signal(tmp_path):
     assert bound(tmp_path, "deviation of T_tank < 0.2 degC").statement.bound.amount == Amount(0.2, "K")
     assert bound(tmp_path, "rise of T_tank_C < 60 K/h over 30 s".replace(" < 60 K/h over 30 s", " over 30 s < 60 K/h"))
     ramp = bound(tmp_path, "rise of heater_power over 10 s < 1 W/s")
-    assert (ramp.unit, ramp.statement.bound.amount.number) == ("W/min", 60.0)
+    assert (ramp.unit, ramp.statement.bound.amount.number) == ("W/s", 1.0)
     assert bound(tmp_path, "cycles > 5").unit == "1"
     group = bound(tmp_path, "T_modules_C < 75")
     assert (group.columns, group.unit) == (("T_pm1_C", "T_pm2_C"), "degC")
