@@ -144,6 +144,9 @@ def _source_questions(course: Course) -> Asked:
             raise ValueError(f"{text}: there is no such file; `hil init` writes a rig file without a table")
         if path.suffix.lower() not in _SOURCES:
             raise ValueError(f"{text} is none of {', '.join(_SOURCES)}")
+        written = [name for name in OUTPUTS if name not in (DRAFT, RIG) or not _is_rig_file(path)]
+        if path.resolve() in [(course.folder / name).resolve() for name in written]:
+            raise ValueError(f"{text} is a file that this course writes, and yours would be lost; give it another name")
         return text
 
     text = (

@@ -376,6 +376,16 @@ def test_a_rig_file_of_the_same_name_is_the_source_and_is_kept(tmp_path, monkeyp
     assert "question 'writes.healthy'" in said and (tmp_path / "rig.toml").read_bytes() == before
 
 
+@pytest.mark.parametrize("name", ["served.toml", "twin.toml", "load.csv", "healthy.csv", "draft.toml"])
+def test_a_source_that_the_course_would_overwrite_is_refused_and_kept(tmp_path, name):
+    (tmp_path / name).write_text("mine", encoding="utf-8")
+    said: list[str] = []
+    with pytest.raises(StopRequest):
+        start(StartRequest(tmp_path, source=name), said.append, lambda _: (_ for _ in ()).throw(EOFError))
+    assert any("yours would be lost; give it another name" in line for line in said), said
+    assert (tmp_path / name).read_text(encoding="utf-8") == "mine"
+
+
 def test_a_load_that_is_none_is_refused_before_anything_is_agreed_to(tmp_path, monkeypatch):
     rig = RecordedRig(tmp_path, monkeypatch)
     (tmp_path / "bad.csv").write_text("time_s,heater_power_W\n0,1\n0,2\n", encoding="utf-8")
