@@ -191,3 +191,5 @@ def test_pictures_and_predictions_replace_no_file_of_a_run(run):
     assert run.journal.read_bytes() == before
     done = typed("check", twin, "--picture", run.path / "x.abc")
     assert done.returncode == 2 and "a picture is a .svg" in done.stderr and "Traceback" not in done.stderr
+    done = CliRunner().invoke(group, ["review", str(run.path), "--screenshot", str(run.path.parent / "load.csv")])
+    assert done.exit_code == 2 and "the picture is a PNG" in done.output

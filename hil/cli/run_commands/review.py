@@ -34,6 +34,8 @@ def command(run: Path, follow: bool, rebuild: bool, tab: str | None, screenshot:
 
     if screenshot is not None:
         require_output(screenshot, RunFolderError)
+        if screenshot.suffix.lower() != ".png":
+            raise click.UsageError(f"{screenshot}: the picture is a PNG; give --screenshot a name that ends with .png")
     folder = RunFolder(run)
     if not folder.manifest.is_file() and has_diagnosis(run):
         require_plain(run, RunFolderError)
