@@ -267,15 +267,16 @@ def _rigs(path: Path, text: str, read: FleetSection, problems: list[str]) -> dic
 
 
 def _matches(folder: Path, pattern: str) -> list[Path]:
-    """Return the files of a pattern in order of their names; a name without a pattern is that file."""
+    """Return the records of a pattern in order of their names: files, and those of run folders.
+
+    A name without a pattern is that file.
+    """
     literal = folder / pattern
     if literal.is_file():
         return [literal]
-    return [
-        found
-        for name in sorted(glob.glob(pattern, root_dir=folder, recursive=True))
-        if (found := folder / name).is_file()
-    ]
+    names = [folder / name for name in sorted(glob.glob(pattern, root_dir=folder, recursive=True))]
+    records = [path / "record.parquet" if path.is_dir() else path for path in names]
+    return [path for path in records if path.is_file()]
 
 
 def _jobs(

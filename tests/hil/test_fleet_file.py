@@ -55,6 +55,15 @@ def test_check_counts_the_jobs_and_names_a_mistake(tmp_path):
     assert done.returncode == 2 and "there is no file" in done.stderr
 
 
+def test_a_run_folder_stands_for_its_record(tmp_path):
+    file = made_fleet(tmp_path, records=2, hours=0.2)
+    for record in sorted((tmp_path / "records").glob("*.parquet")):
+        record.with_suffix("").mkdir()
+        record.rename(record.with_suffix("") / "record.parquet")
+    file.write_text(file.read_text(encoding="utf-8").replace("records/*.parquet", "records/*"), encoding="utf-8")
+    assert len(jobs_of(read_fleet(file))) == 2
+
+
 def test_a_job_is_the_same_as_long_as_its_files_and_options_are(tmp_path):
     file = made_fleet(tmp_path, records=2, hours=0.2)
     before = {job.record: job.id for job in jobs_of(read_fleet(file))}
