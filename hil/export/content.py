@@ -17,7 +17,7 @@ from drivers.rig_file import Point, Rig, RigFileError, file_sha256, load_rig
 from drivers.signals import DriverError, Quality, Signal, split_column
 from hil import __version__
 from hil.journal import EventRow, JournalReader, all_samples, profile_times
-from hil.run_folder import RunFolder
+from hil.run_folder import RunFolder, label_texts
 
 QUALITY_CODES = {member.name: int(member) for member in Quality}
 """Name of each quality -> its code in the quality column of an export."""
@@ -159,6 +159,7 @@ def read_run(folder: Path) -> RunContent:
         "exit_status": str(manifest.get("exit_status", "")),
         "period_s": f"{header.period_s:g}",
         "software": f"hil {__version__}",
+        **label_texts(run, manifest),
     }
     return RunContent(time_s, tuple(channels), events, about, started)
 

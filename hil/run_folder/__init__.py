@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         without_end,
         wrong_place,
     )
-    from hil.run_folder.notes import LONGEST_LABEL, LONGEST_NOTE, Note, add_note, labels_of, read_notes
+    from hil.run_folder.notes import LONGEST_LABEL, LONGEST_NOTE, Note, add_note, label_texts, labels_of, read_notes
     from hil.run_folder.output_path import require_output
     from hil.run_folder.room import RunSize
     from hil.run_folder.verdict import DiagnosisVerdict, read_diagnosis_verdict, read_verdict
@@ -46,6 +46,7 @@ __all__ = [
     "add_note",
     "append_json_line",
     "create_run_folder",
+    "label_texts",
     "labels_of",
     "left_safe",
     "new_manifest",
@@ -85,6 +86,7 @@ __getattr__, __dir__ = lazy_names(
             "LONGEST_NOTE",
             "Note",
             "add_note",
+            "label_texts",
             "labels_of",
             "read_notes",
         ),

@@ -6,6 +6,7 @@ disturbed, and nobody's note is changed later. A line may also change labels.
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -105,3 +106,15 @@ def labels_of(manifest: Mapping[str, Any], notes: Sequence[Note]) -> Labels:
         **{name: str(known.get(name, "")) for name in ("test_object", "serial_number", "operator")},
         tags=tuple(str(tag) for tag in known.get("tags", ())),
     )
+
+
+def label_texts(folder: RunFolder, manifest: Mapping[str, Any]) -> dict[str, str]:
+    """Return the labels of a run for files of other programs, without the empty ones, the tags as one text.
+
+    Damaged notes count as none: they prevent no export and no verdict.
+    """
+    notes: list[Note] = []
+    with contextlib.suppress(RunFolderError):
+        notes = read_notes(folder)
+    given = labels_of(manifest, notes).given()
+    return {name: value if isinstance(value, str) else ", ".join(value) for name, value in given.items()}

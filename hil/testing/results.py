@@ -5,11 +5,12 @@ from __future__ import annotations
 import datetime
 import json
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from hil.files import plain, replacing
-from hil.run_folder import RunFolder, read_verdict
+from hil.run_folder import RunFolder, label_texts, read_verdict
 from hil.testing.judge import Judgement
 from hil.testing.plan import Plan
 from hil.testing.verdicts import Verdict, overall
@@ -78,7 +79,8 @@ def write_results(folder: RunFolder, result: TestResult) -> dict[str, Any]:
     with replacing(folder.verdict) as unfinished:
         unfinished.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     with replacing(folder.junit) as unfinished:
-        unfinished.write_bytes(junit(document, folder.read_manifest()))
+        manifest = folder.read_manifest()
+        unfinished.write_bytes(junit(document, manifest, label_texts(folder, manifest)))
     return document
 
 
@@ -92,11 +94,12 @@ def _history(test: dict[str, Any]) -> list[dict[str, Any]]:
     return [*before, entry]
 
 
-def junit(document: dict[str, Any], manifest: dict[str, Any]) -> bytes:
+def junit(document: dict[str, Any], manifest: dict[str, Any], labels: Mapping[str, str] | None = None) -> bytes:
     """Return a verdict as JUnit XML: one suite for each plan, one case for each limit.
 
     A failed limit is a `failure`, an inconclusive one an `error`: no program counts it as passed. Elements and their
-    order are those of the Ant task's schema, which all readers know. Requirements are properties of the suite.
+    order are those of the Ant task's schema, which all readers know. Requirements, measured values and the labels of
+    the run are properties of the suite.
     """
     root = ET.Element("testsuites")
     started = str(manifest.get("started", ""))[:19] or "1970-01-01T00:00:00"
@@ -119,12 +122,16 @@ def junit(document: dict[str, Any], manifest: dict[str, Any]) -> bytes:
         )
         properties = ET.SubElement(suite, "properties")
         about = {"run": manifest.get("uid", ""), "plan.sha256": test["sha256"], "verdict": test["verdict"]}
+        about |= labels or {}
         about |= {
             f"verdict.before.{number}": f"{one['verdict']} at {one['judged']}, plan.sha256 {one['sha256']}"
             for number, one in enumerate(test.get("history", []), 1)
         }
         about |= {f"requirement.{limit['id']}": limit["requirement"] for limit in limits}
         about |= {f"severity.{limit['id']}": limit["severity"] for limit in limits}
+        judged = (limit for limit in limits if limit["verdict"] != "inconclusive")
+        known = (limit for limit in judged if limit.get("value") is not None)
+        about |= {f"value.{limit['id']}": f"{limit['value']:.6g} {limit['unit']}".rstrip() for limit in known}
         for name, value in about.items():
             ET.SubElement(properties, "property", name=_text(name), value=_text(value))
         for limit in limits:

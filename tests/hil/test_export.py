@@ -107,7 +107,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> MadeRun:
     for tick, level, text in EVENTS:
         writer.event(tick, float(tick), level, text)
     writer.close()
-    RunFolder(path).write_manifest(new_manifest({"rig": rig_file}) | {"exit_status": "done"})
+    labels = {"serial_number": "0042", "tags": ["night"]}
+    RunFolder(path).write_manifest(new_manifest({"rig": rig_file}) | {"exit_status": "done", "labels": labels})
     columns = [signal.column for signal in signals]
     return MadeRun(
         path,
@@ -151,7 +152,7 @@ def test_parquet_has_units_and_events_in_its_metadata(run: MadeRun, tmp_path: Pa
     assert schema.field("T_tank_C").metadata[b"doc"] == b"Tank, half height"
     about = json.loads(schema.metadata[b"hil"])
     assert [(e["time_s"], e["level"], e["text"]) for e in about["events"]] == list(EVENTS)
-    assert about["profile"] == "steps"
+    assert (about["profile"], about["serial_number"], about["tags"]) == ("steps", "0042", "night")
 
 
 @pytest.mark.parametrize(

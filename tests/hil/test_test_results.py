@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from hil.run_folder import RunFolderError, read_verdict
+from hil.run_folder import Labels, RunFolderError, add_note, read_verdict
 from hil.testing import judge_run, junit, read_plan, requirement_matrix
 from tests.hil.command_line import typed
 from tests.hil.ended_run import ended_run
@@ -64,6 +64,7 @@ def test_every_limit_is_in_the_files_and_first_in_the_report(judged):
 def test_junit_is_read_by_a_program_of_others(judged):
     reader = pytest.importorskip("junitparser")
     folder, plan = judged
+    add_note(folder, "", "Ada", Labels(serial_number="<42>", tags=("night", "endurance")))
     judge_run(read_plan(plan), folder)
     (suite,) = reader.JUnitXml.fromfile(str(folder.junit))
     assert (suite.name, suite.tests, suite.failures, suite.errors, suite.skipped) == ("small", 4, 2, 1, 0)
@@ -71,7 +72,10 @@ def test_junit_is_read_by_a_program_of_others(judged):
     assert [case.is_passed for case in cases] == [True, False, False, False]
     assert "the limit is < 1 °C" in cases[1].result[0].message
     assert isinstance(cases[2].result[0], reader.Error)
-    assert {p.name: p.value for p in suite.properties()}["requirement.L4"] == "REQ-2"
+    properties = {p.name: p.value for p in suite.properties()}
+    assert properties["requirement.L4"] == "REQ-2"
+    assert properties["serial_number"] == "<42>" and properties["tags"] == "night, endurance"
+    assert properties["value.L2"].endswith(" degC") and "value.L3" not in properties
 
 
 def test_junit_keeps_to_the_schema_of_ant(judged):
