@@ -175,7 +175,7 @@ def _column(bound: BoundLimit, data: RunData, column: str) -> Finding:
         text = "its condition was never fulfilled" if is_never else "it has no good value"
         return Finding("inconclusive", text)
     if statement.measure in ("time", "longest"):
-        return _duration(times, statement, bound.unit)
+        return _duration(times, statement, bound.unit, _stood_beyond_s(bound, statement, data, column))
     if statement.measure != "value":
         return _statistic(times, statement, bound.unit)
     return _values(times, statement.bound, bound.unit)
@@ -201,6 +201,24 @@ def _standing(bound: BoundLimit, data: RunData, column: str) -> Finding | None:
     value, at_s = float(x[at]), float(ticks.time_s[at])
     text = f"{shown(value, bound.unit)} while the profile stood at {at_s:g} s, the limit is {said.bound}"
     return Finding("fail", text, value, at_s=at_s, margin=float(margins[at]))
+
+
+def _stood_beyond_s(bound: BoundLimit, said: Compared, data: RunData, column: str) -> float:
+    """Return the time for which a value was beyond the threshold of a limit while the profile stood, s.
+
+    At the rig's safe values and in a thermal restore only a value above it counts, as in `_standing`.
+    """
+    ticks = data.standing
+    if ticks is None or said.threshold is None:
+        return 0.0
+    beyond = (
+        within(ticks.columns[column], said.threshold) & (bound.from_s <= ticks.time_s) & (ticks.time_s <= bound.to_s)
+    )
+    if not said.threshold.operator.startswith(">"):
+        beyond &= ticks.as_profile
+    if bound.condition is not None and bound.while_ is not None:
+        beyond &= within(ticks.columns[bound.condition], bound.while_)
+    return float(beyond.sum()) * data.period_s
 
 
 def holds_always(bound: BoundLimit) -> bool:
@@ -282,10 +300,11 @@ def _plain_statistic(x: Floats, said: Compared) -> float:
     return float(np.percentile(x, said.percent))
 
 
-def _duration(times: _Times, said: Compared, unit: str) -> Finding:
+def _duration(times: _Times, said: Compared, unit: str, stood_s: float) -> Finding:
     """Return the finding on a time beyond a threshold, in all or at the longest.
 
-    It lies between the time without and with the ticks whose value is missing: each may have been beyond, or not.
+    It lies between the time without and with the ticks whose value is missing: each may have been beyond, or not. The
+    time `stood_s`, s, beyond it while the profile stood proves no failure, and no time that it could exceed is passed.
     """
     assert said.threshold is not None
     beyond = times.beyond(said.threshold)
@@ -305,7 +324,11 @@ def _duration(times: _Times, said: Compared, unit: str) -> Finding:
     if times.is_missing:
         return times.missing(least)
     if inside.all():
-        return Finding("pass", text, least, at_s=at_s, margin=margin)
+        is_proven = not said.bound.operator.startswith("<") or bool(within(np.array([most + stood_s]), said.bound)[0])
+        if stood_s == 0.0 or is_proven:
+            return Finding("pass", text, least, at_s=at_s, margin=margin)
+        text = f"{text}, and {stood_s:g} s more while the profile stood; the limit is {said.bound}"
+        return Finding("inconclusive", text, least, at_s=at_s)
     text = f"between {shown(least, unit)} and {shown(most, unit)}, by the values that are missing"
     return Finding("inconclusive", f"{text}; the limit is {said.bound}", least, at_s=at_s)
 

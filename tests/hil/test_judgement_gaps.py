@@ -173,6 +173,29 @@ def test_a_limit_without_times_also_holds_while_the_profile_stands(tmp_path, sen
         assert "while the profile stood at 70 s" in found.text
 
 
+@pytest.mark.parametrize(
+    ("sentence", "as_profile", "verdict"),
+    [
+        ("time of T_tank_C above 35 < 200 s", False, "inconclusive"),
+        ("longest time of T_tank_C above 35 < 200 s", True, "inconclusive"),
+        ("longest time of T_tank_C above 35 < 250 s", True, "pass"),  # 187 s and 50 s
+        ("time of T_tank_C above 35 < 180 s", True, "fail"),
+        ("time of T_tank_C above 35 > 3 min", True, "pass"),
+        ("time of T_tank_C above 35 < 200 s before 300 s", True, "pass"),
+        ("time of flow below 3 L/min < 10 s", False, "pass"),  # a pump at its safe value
+        ("time of flow below 3 L/min < 10 s", True, "inconclusive"),
+    ],
+)
+def test_a_time_beyond_a_threshold_is_not_passed_where_the_profile_stood_beyond_it(
+    tmp_path, sentence, as_profile, verdict
+):
+    columns = {name: np.full(50, 60.0) for name in made_run().columns} | {"flow_L_per_min": np.zeros(50)}
+    stood = StandingTicks(np.full(50, 350.0), columns, np.full(50, as_profile))
+    found = judged(tmp_path, sentence, replace(made_run(), standing=stood))
+    assert found.verdict == verdict, found
+    assert verdict != "inconclusive" or "50 s more while the profile stood" in found.text
+
+
 def stood_at(tick: int, **columns):
     """A run whose profile stood for long before `tick`: the tank has cooled meanwhile."""
     run = made_run()
