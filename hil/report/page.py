@@ -207,7 +207,8 @@ def _gates(reader: JournalReader, unit: TimeUnit) -> Html:
         for name, a in accepted(proposals).items()
     ]
     head = ["parameter", "accepted last", "in a row", f"since / {unit.symbol}", f"last / {unit.symbol}"]
-    return _part("Parameters accepted by the network's gates", table(head, rows), _note(closed_gates(proposals)))
+    shown = table(head, rows) if rows else _note("None.")
+    return _part("Parameters accepted by the network's gates", shown, _note(closed_gates(proposals)))
 
 
 def _pictures(reader: JournalReader, samples: JournalSamples, unit: TimeUnit) -> Html:
@@ -297,5 +298,16 @@ def _provenance(manifest: dict[str, Any]) -> Html:
     rows = [["run", manifest["uid"]], ["started", manifest["started"]], ["host", manifest["host"]]]
     rows += [[name, f"{item['path']}  sha256 {item['sha256'][:16]}"] for name, item in manifest["files"].items()]
     rows += [[name, version] for name, version in manifest["versions"].items()]
-    rows += [[name, str(value)] for name, value in manifest["settings"].items()]
+    rows += [[name, _setting(value)] for name, value in manifest["settings"].items()]
     return _part("Provenance", table(["", ""], rows, class_="prose"))
+
+
+def _setting(value: Any) -> str:
+    """Return the value of a setting as people read it."""
+    if value is None or value in ([], {}, ""):
+        return NONE
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, dict):
+        return "; ".join(f"{name}: {part}" for name, part in value.items())
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)

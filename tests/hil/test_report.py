@@ -169,6 +169,15 @@ def test_curves_that_zoom_have_the_unit_of_the_pictures(tmp_path):
     assert page.count('<div class="screen"><h2>Curves that zoom') == 1
 
 
+def test_settings_are_shown_as_people_read_them(tmp_path):
+    folder = made(tmp_path / "run", samples(), header())
+    settings = {"virtual": True, "control": None, "calibrators": ["pso", "least_squares"], "seed": 0, "left_out": {}}
+    folder.write_manifest(folder.read_manifest() | {"settings": settings})
+    write_report(folder)
+    found = {row[0]: row[1] for row in cells(folder.report.read_text(encoding="utf-8")) if len(row) == 2}
+    assert [found[name] for name in settings] == ["yes", NONE, "pso, least_squares", "0", NONE]
+
+
 @pytest.mark.parametrize("ticks", [0, 1, 2, 5])
 def test_the_shortest_runs_are_reported(tmp_path, ticks):
     told = samples(max(ticks, 1))
