@@ -30,7 +30,7 @@ function put(id, ...content) { byId(id).replaceChildren(...content); }
 
 let run = null, shown = null, source = null, heardAt = 0, gone = false;
 let courses = null, plots = [], span = Infinity, cursor = null;
-let past = null;
+let past = null, heardTimes = [];
 
 async function getJson(path) {
   const answer = await fetch(path, { cache: "no-store" });
@@ -202,6 +202,7 @@ function makePlots(document_) {
 
 function showPast(document_) {
   past = document_;
+  heardTimes = [];
   courses = { all: new Course(document_.all, shown.period_s), recent: new Course(document_.recent, shown.period_s) };
   if (shown && shown.values.length) makePlots(document_);
 }
@@ -239,6 +240,9 @@ function addPoint(now) {
   for (const twin of now.twins) point[`${twin.sensor} measured`] = twin.measured;
   courses.all.add(now.time_s, point);
   courses.recent.add(now.time_s, point);
+  heardTimes.push([Date.now(), now.time_s]);
+  if (heardTimes.length > PACE_STATES) heardTimes.shift();
+  courses.all.stateS = courses.recent.stateS = stateStep(heardTimes);
   for (const { twin, time_s, values } of now.predicted) {
     const predicted = {};
     for (const [sensor, value] of Object.entries(values)) predicted[`${sensor} ${twin}`] = value;

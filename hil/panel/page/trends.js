@@ -4,12 +4,21 @@
 const MOST_POINTS = 1200;
 const SPARSE_GAP_S = 60; /* predictions are at most this far apart where a line joins them */
 const STATE_S = 1; /* the panel sends a state so often */
+const PACE_STATES = 10; /* states over which the pace of a run is measured */
+
+/* Rig time that passes between two states, s: a run may go on faster than real time. `heard` has [ms, rig time] of the last states. */
+function stateStep(heard) {
+  if (heard.length < 2) return STATE_S;
+  const [[ms0, t0], [ms1, t1]] = [heard[0], heard[heard.length - 1]];
+  return Math.max(STATE_S, (1000 * STATE_S * (t1 - t0)) / Math.max(ms1 - ms0, 1000));
+}
 
 /* Series of one plot over a common time axis. A point has mean, low and high of each series; points of one bin merge. */
 class Course {
   constructor(document_, periodS) {
     this.binS = document_.bin_s;
     this.periodS = periodS;
+    this.stateS = STATE_S;
     this.time = document_.time_s.slice();
     this.count = this.time.map(() => 1);
     this.series = new Map();
@@ -40,7 +49,7 @@ class Course {
   }
 
   /* No line joins points that are farther apart: there are no rows between them. */
-  gapS() { return 3 * Math.max(this.binS, this.periodS, STATE_S); }
+  gapS() { return 3 * Math.max(this.binS, this.periodS, this.stateS); }
 
   halve() {
     this.binS *= 2;

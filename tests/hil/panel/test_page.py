@@ -104,6 +104,11 @@ def test_a_person_sees_the_run_and_steers_it_by_confirmed_presses(visit, panel, 
         row = page.locator("tr", has_text="T_tank")
         assert "55.00" in row.inner_text() and "°C" in row.inner_text()
         assert page.locator(".card").count() >= 6
+        paces = page.evaluate(
+            "() => [[[0, 0], [1000, 20], [2000, 40]], [[0, 5], [1000, 6]], [[0, 0]], [[0, 0], [9000, 0], [10000, 30]]]"
+            ".map(stateStep)"
+        )
+        assert paces == [20, 1, 1, 3]  # the last: ten seconds without a row, which no line joins
         drawn = page.evaluate(
             "() => [...document.querySelectorAll('canvas')].map(c => c.getContext('2d')"
             ".getImageData(0, 0, c.width, c.height).data.some(v => v > 0))"
