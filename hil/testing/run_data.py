@@ -203,6 +203,10 @@ def _on_profile(states: Sequence[StateRow], tick: NDArray[np.int64]) -> NDArray[
 
 
 def trips_of(states: Sequence[StateRow]) -> tuple[str, ...]:
-    """Return the reasons of all trips and failures in the transitions of a run."""
+    """Return the reasons of all trips and failures in the transitions of a run.
+
+    What fails before the profile has begun, such as a rig that is off, is none: nothing was tested then.
+    """
     events = (RunEvent.TRIP.value, RunEvent.FAIL.value)
-    return tuple(dict.fromkeys(row.reason for row in states if row.event in events))
+    first = next((place for place, row in enumerate(states) if row.target == State.RUNNING), len(states))
+    return tuple(dict.fromkeys(row.reason for row in states[first:] if row.event in events))

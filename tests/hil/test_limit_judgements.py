@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hil.journal import StateRow
 from hil.run_folder import DiagnosisVerdict
 from hil.testing.judge import judge
+from hil.testing.run_data import trips_of
 from tests.hil.made_plan import bound, made_run
 
 WHOLE = np.arange(401.0)
@@ -165,3 +167,13 @@ def test_a_diagnosis_is_judged_by_its_verdict(tmp_path, verdict, expected):
 def test_a_trip_is_a_failure_with_its_reason(tmp_path):
     found = judged(tmp_path, "no trip", replace(made_run(), trips=("T_tank is 99 °C",)))
     assert (found.verdict, found.text) == ("fail", "T_tank is 99 °C")
+
+
+def test_what_fails_before_the_profile_has_begun_is_no_trip():
+    def rows(*steps: tuple[str, str, str]) -> list[StateRow]:
+        return [StateRow(k, k, float(k), 0.0, 0.0, *step, f"reason {k}") for k, step in enumerate(steps)]
+
+    off = rows(("idle", "validate", "validating"), ("connecting", "fail", "faulted"))
+    assert trips_of(off) == () == trips_of(rows(("restoring", "fail", "finishing"), ("finishing", "fail", "faulted")))
+    begun = rows(("restoring", "start", "running"), ("running", "trip", "paused"), ("finishing", "fail", "faulted"))
+    assert trips_of(begun) == ("reason 1", "reason 2")
