@@ -435,5 +435,6 @@ def _no_trip(data: RunData) -> Finding:
     if data.trips:
         return Finding("fail", data.trips[0])
     if not data.has_ended:
-        return Finding("inconclusive", "the run did not go to its end")
+        why = f": {data.reason}" if data.reason else ""
+        return Finding("inconclusive", f"the run did not go to its end{why}")
     return Finding("pass", "nothing tripped")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.journal import JournalReader, RunEvent, State, StateRow, profile_times, samples_sha256
+from hil.journal import ENDED, JournalReader, RunEvent, State, StateRow, profile_times, samples_sha256
 from hil.run_folder import DiagnosisVerdict, RunFolder, read_diagnosis_verdict
 from hil.testing.bound_limits import RigSignals
 
@@ -40,7 +40,8 @@ class RunData:
     that are commanded. `twins` are predictions (n,) in degC by twin and sensor. `diagnosis` is the verdict of the
     diagnosis, None without one. `trips` are the trips of the run, a sentence each. `has_ended` is True for a run that
     went to its end. `standing` are the ticks on which the profile stood, None where they are unknown. `parts` (n,) are
-    numbers that differ for ticks between which the profile stood, None where it never did.
+    numbers that differ for ticks between which the profile stood, None where it never did. `reason` states why the run
+    has ended, empty for one that has not.
     """
 
     time_s: Floats
@@ -55,6 +56,7 @@ class RunData:
     has_ended: bool = False
     standing: StandingTicks | None = None
     parts: NDArray[np.int64] | None = None
+    reason: str = ""
 
     @property
     def stood(self) -> NDArray[np.bool_]:
@@ -160,6 +162,7 @@ def read_run(folder: RunFolder, reader: JournalReader) -> RunData:
             _in_states(states, samples.tick[stood], _has_outputs_of_profile),
         ),
         np.cumsum(waited_s > 0.5 * header.period_s),
+        states[-1].reason if states and states[-1].target in ENDED else "",
     )
 
 

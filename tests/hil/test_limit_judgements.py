@@ -169,6 +169,13 @@ def test_a_trip_is_a_failure_with_its_reason(tmp_path):
     assert (found.verdict, found.text) == ("fail", "T_tank is 99 °C")
 
 
+def test_the_end_of_a_run_is_named_where_it_did_not_go_to_its_end(tmp_path):
+    cut = made_run(100.0)
+    assert judged(tmp_path, "no trip", cut).text == "the run did not go to its end"
+    text = judged(tmp_path, "no trip", replace(cut, reason="plc cannot be reached")).text
+    assert text == "the run did not go to its end: plc cannot be reached"
+
+
 def test_what_fails_before_the_profile_has_begun_is_no_trip():
     def rows(*steps: tuple[str, str, str]) -> list[StateRow]:
         return [StateRow(k, k, float(k), 0.0, 0.0, *step, f"reason {k}") for k, step in enumerate(steps)]
