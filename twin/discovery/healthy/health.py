@@ -43,7 +43,7 @@ class NotHealthyError(TwinFileError):
 class Health:
     """Estimates from a healthy record: its noise, the noise `less` its known model error, and that model error.
 
-    `itself` is the record for further estimates; `change_errors` are its errors after fast changes; `rough` is a sentence
+    `itself` is the record for further estimates; `change_errors` are those after fast changes; `rough` is a sentence
     about a residual far above noise, else "".
     """
 
