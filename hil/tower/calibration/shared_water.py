@@ -19,9 +19,13 @@ def joined_by_basin(
     fitted: Sequence[Fitted], records: Sequence[CellRecord], notes: StationNotes
 ) -> tuple[list[Fitted], set[int]]:
     """Return the fits with the basin thermometers of each compartment whose cells are all there, and the cells that
-    have one."""
+    have one.
+
+    A compartment beside others needs the temperature of the common supply: it shows what water comes from them.
+    """
     joined, second = list(fitted), set()
-    for cells, volume in _compartments(notes):
+    compartments = _compartments(notes)
+    for cells, volume in compartments:
         at = [k for k, one in enumerate(records) if one.cell in cells]
         if len(at) != len(cells) or not at:
             continue
@@ -29,11 +33,13 @@ def joined_by_basin(
             continue
         drains = [_drain(joined[k], records[k]) for k in at]
         n = len(records[at[0]].time_s)
+        supply = records[at[0]].columns.get("supply_C", np.full(n, np.nan)) if len(compartments) > 1 else None
         makeup = records[at[0]].columns.get("makeup_kg_s", np.zeros(n))
         changes = [
             0.5 * (o.start_s + o.end_s) for o in openings_of(notes, records[at[0]].cell) if o.parameter == "bias"
         ]
-        updated = with_basin([joined[k].posterior for k in at], drains, records[at[0]].time_s, makeup, volume, changes)
+        posteriors = [joined[k].posterior for k in at]
+        updated = with_basin(posteriors, drains, records[at[0]].time_s, makeup, volume, changes, supply)
         for k, posterior in zip(at, updated, strict=True):
             if posterior is not joined[k].posterior:
                 second.add(records[k].cell)
