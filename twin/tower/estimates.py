@@ -133,6 +133,8 @@ class Estimate:
     lasting
         Standard deviations of errors of the slow deviations that last for the record and of which no residual tells
         (5,), () for none.
+    amplitude
+        Standard deviation of the discrepancy's weights over that of their prior.
     """
 
     edges_s: Array
@@ -151,6 +153,7 @@ class Estimate:
     label_sites: tuple[tuple[Label, float, float], ...] = ()
     widening: Array = field(default_factory=lambda: np.zeros(0))
     lasting: Array = field(default_factory=lambda: np.zeros(0))
+    amplitude: float = 1.0
 
     def sd(self) -> Array:
         """Return the standard deviations of the slow deviations (k, 5), those by the considered constants included."""

@@ -6,11 +6,11 @@ third of the bound, so that the bound is two standard deviations below and a gai
 thermometer's bias has mean 0. Residuals of the model are correlated in time, so a block of them counts as less than one
 observation, by their integrated autocorrelation time (Geyer 1992).
 
-Scale and autocorrelation time are estimated in the first passes and kept in the others. A step is halved until it
-lowers the objective of its pass, so that the estimate is a mode.
+Scale and autocorrelation time of the residuals, and the amplitude of the discrepancy, are estimated in the first passes
+and kept in the others. A step is halved until it lowers the objective of its pass, so that the estimate is a mode.
 
 Sources: Bell, SIAM J. Optim. 4 (1994) 626 (Gauss-Newton as the iterated Kalman smoother); Schmidt, Adv. Control Syst. 3
-(1966) 293 (considered constants).
+(1966) 293 (considered constants); MacKay, Neural Comput. 4 (1992) 415 (amplitude by the marginal likelihood).
 """
 
 from __future__ import annotations
@@ -39,7 +39,10 @@ from twin.tower.model import GLOBALS, NAMES, SLOW, CellModel
 
 PASSES = 20
 RESCALED = 5
-"""Passes in which scale and autocorrelation time of the residuals are taken anew."""
+"""Passes in which scale and autocorrelation time of the residuals, and the discrepancy's amplitude, are taken anew."""
+STATED = 2.0
+"""Weights that the stated amplitude of the discrepancy counts as: the prior of its square is inverse chi-square with
+two degrees of freedom, so that it is known within a factor of two."""
 HALVINGS = 8
 """Most halvings of a step that does not lower the objective."""
 FLAT = 0.02
@@ -119,11 +122,14 @@ class _Solver:
         self.mean_g, self.sd_g = priors.constant()
         self.multipliers = np.array([self.k * self.s + NAMES.index(name) for name in CONSIDERED])
         self.precision, self.prior_mean = self._prior(openings)
+        self.amplitude = 1.0
         self._hold()
         # Changes of the constants count in tenths of their priors' standard deviations.
         self.unit = np.concatenate([np.ones(self.k * self.s), 10.0 * self.sd_g])
         o = blocks.operation
         self.features = model.features(o) * (1.0 - o.bypass)[:, None] if self.g > len(NAMES) else None
+        # A healthy record gives the weights a prior of their own.
+        self.weighs_features = self.features is not None and priors.learned is None
         variance, _ = walk_variance(edges_s, "air", openings, self.unread_d)
         self.power_errors = PowerErrors(model.features(o), self.cell, variance * GLOBALS[NAMES.index("kappa")].sd ** 2)
         self.sigma = [0.2, 0.03]
@@ -189,6 +195,8 @@ class _Solver:
         else:
             x = np.concatenate([start.slow.ravel(), start.constant])
             self.sigma = list(start.sigma)
+            if self.weighs_features:
+                self._set_amplitude(start.amplitude)
         variance: Array = np.zeros(0)
         jac_t, change = np.zeros((0, 0)), np.inf
         res_t, rows_p, res_p = self._residuals(x)
@@ -216,6 +224,8 @@ class _Solver:
             if number == PASSES - 1 or (number >= (RESCALED if start is None else 2) and change < CONVERGED):
                 break
             variance = self._label_variance(factor, self._considered(factor, normal))
+            if number < RESCALED and self.weighs_features:
+                self._set_amplitude(self._likely_amplitude(factor, x))
         return self._posterior(x, factor, normal, (jac_t, linear, w_t))
 
     def _posterior(
@@ -241,7 +251,25 @@ class _Solver:
             w_t,
             considered,
             tuple((one, *self._sites[i]) for i, one in enumerate(self.labels)),
+            amplitude=self.amplitude,
         )
+
+    def _set_amplitude(self, amplitude: float) -> None:
+        """Give the weights of the discrepancy the prior of this amplitude."""
+        rows = np.arange(self.k * self.s + len(NAMES), len(self.prior_mean))
+        self.amplitude = amplitude
+        self.precision[rows, rows] = (amplitude * self.sd_g[len(NAMES) :]) ** -2.0
+
+    def _likely_amplitude(self, factor: tuple[Array, bool], x: Array) -> float:
+        """Return the discrepancy's amplitude over the stated one by its marginal likelihood, and by what was stated.
+
+        Each weight counts by the share of its prior variance that the readings take away.
+        """
+        at, sd = self.k * self.s + len(NAMES), self.sd_g[len(NAMES) :]
+        # The weights are the last unknowns, so that the end of the factor is that of their own precision.
+        variance = (np.linalg.inv(np.triu(factor[0][at:, at:])) ** 2).sum(axis=1)
+        seen = float((1.0 - variance / (self.amplitude * sd) ** 2).sum())
+        return float(np.sqrt((STATED + float(((x[at:] / sd) ** 2).sum())) / (STATED + seen)))
 
     def _parts(self, x: Array) -> tuple[Array, Array]:
         """Return the slow deviations (k, s) and the constants (g,) of x."""

@@ -3,6 +3,8 @@ record."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,8 +14,9 @@ from twin.tower.cell import Inputs
 from twin.tower.cell_observations.evidence import Label, interval_as_gaussian
 from twin.tower.clean_cell.commissioning import CommissioningError, TestPoints, fit_clean_cell
 from twin.tower.estimates import Opening, Priors
-from twin.tower.minutes import Minutes, minutes_of
+from twin.tower.minutes import Minutes, blocks_of, minutes_of
 from twin.tower.model import CellModel, DesignPoint
+from twin.tower.smoother import estimate
 from twin.tower.twin_file import BOUNDS
 
 SITE = DesignPoint(34.0, 24.0, 6.0)
@@ -158,3 +161,14 @@ def test_a_record_without_a_barometer_has_the_pressure_of_its_site() -> None:
     columns = {**made.columns, "pressure_kPa": np.full(len(made.time_s), np.nan)}
     minutes = minutes_of(made.time_s, columns, made.origin, M_W0, 0.0, site_kPa=83.4)
     assert (minutes.operation.inputs.pressure == 83.4).all()
+
+
+def test_the_amplitude_of_the_discrepancy_comes_from_the_record(model: CellModel) -> None:
+    blocks, _ = blocks_of(minutes(made_cell(6, seed=1)))
+    u = blocks.operation.inputs
+    wave = np.sin(u.wet / 2.0) * np.cos(6.0 * u.speed)
+    found = [
+        estimate(model, replace(blocks, outlet=blocks.outlet + size_K * wave), Priors(BOUNDS), (), ()).amplitude
+        for size_K in (0.0, 0.5)
+    ]
+    assert found[0] < 1.0 < found[1]

@@ -5,8 +5,8 @@
 x are the coordinates of the operating point in their correlation lengths; omega_j are drawn from the spectral density
 of a Gaussian kernel by a low-discrepancy sequence, so that every record has the same features. The weights have
 independent priors, so delta has standard deviation `AMPLITUDE_K` far from the design point and none at it, where the
-clean cell was measured. They are marginalised with the deviations: a month of blocks at few operating points then
-teaches no more than the error at those points.
+clean cell was measured. A record corrects that amplitude (`twin.tower.smoother`). The weights are marginalised with the
+deviations: a month of blocks at few operating points then teaches no more than the error at those points.
 
 Sources: Kennedy & O'Hagan, J. R. Stat. Soc. B 63 (2001) 425 (model discrepancy); Rahimi & Recht, NIPS 2007 (features).
 """
@@ -22,7 +22,7 @@ FREQUENCIES = 32
 FEATURES = 2 * FREQUENCIES
 AMPLITUDE_K = 0.1
 """Standard deviation of the twin's error that the terms of `twin.tower.model` leave: a third of the 0.3 K that Merkel's
-method leaves of a Poppe tower in all weather."""
+method leaves of a Poppe tower in all weather. It is where the estimate of the amplitude begins."""
 LENGTHS = (8.0, 5.0, 0.3, 0.3, 4.0)
 """Correlation lengths: wet bulb K, inlet above it K, shares of full speed and of design flow, wind m/s; about a third
 of the range that a cell sees in a year."""
