@@ -91,7 +91,7 @@ def conflict_sentence(one: LabelConflict) -> str:
         first, last = sorted((one.label, one.other), key=lambda label: label.time_s)
         return (
             f"the labels of the {name} {_told(first)} and {_told(last)} contradict each other: mend the wrong one; "
-            f"its intervals reach both {end}"
+            f"its intervals are widened {end}"
         )
     clean = 0.0 if name == "bias" else 1.0
     return (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.tower.calibration import label_conflicts, with_lasting_errors
+from twin.tower.calibration import label_conflicts, widened, with_lasting_errors
 from twin.tower.cell_observations import Label
 from twin.tower.estimates import DAY_S, WALK, Estimate
 from twin.tower.model import SLOW
@@ -13,7 +13,7 @@ from twin.tower.model import SLOW
 BIAS, SD, LABEL_SD = SLOW.index("bias"), 0.03, 0.05
 
 
-def _posterior(values: list[float], days: int = 400) -> Estimate:
+def _posterior(values: list[float], days: int = 60) -> Estimate:
     """Return a posterior with no bias at all, known to `SD` without each of some reference values, K."""
     cells = days * 2
     # A label's own Gaussian is part of the posterior; the cavity takes it off again.
@@ -73,3 +73,14 @@ def test_a_wrong_value_stays_a_contradiction() -> None:
     assert not found.lasting.size or found.lasting[BIAS] < 0.02
     (one,) = label_conflicts(found, WALK)
     assert one.label.low == 0.9
+
+
+def test_an_interval_reaches_a_single_value_that_contradicts_and_not_one_that_many_others_contradict() -> None:
+    wrong = 6.0 * float(np.hypot(SD, LABEL_SD))
+    single, many = _posterior([wrong]), _posterior([wrong, *[0.0] * 15])
+    factors = [widened(p, label_conflicts(p, WALK)).widening[BIAS] for p in (single, many)]
+    assert factors == pytest.approx([6.0, 1.5], rel=0.05)
+
+
+def test_values_as_good_as_stated_hardly_ever_contradict_however_many_there_are() -> None:
+    assert sum(bool(label_conflicts(_posterior(_drawn(0.0, 60, seed)), WALK)) for seed in range(40)) <= 2

@@ -2,9 +2,10 @@
 
 The posterior is Gaussian, so what is known without a label follows from it by taking the label's own Gaussian off again
 (its cavity). A label contradicts where its value, or the nearest bound of its interval, is off the cavity's mean by
-more than 1 % of such labels are. Two values of one quantity that contradict each other leave one of them wrong, and
-nothing says which. The standard deviation is then multiplied by their distance in standard deviations, so that the
-interval reaches both.
+more than happens in 1 % of records with as many labels. Two values of one quantity that contradict each other leave one
+of them wrong, and nothing says which. The standard deviation is then multiplied by Birge's ratio, the root mean square
+of the labels' distances in standard deviations. A single label gives its distance, so that the interval reaches both;
+many labels that agree with the record show that it is the label that is wrong.
 
 Values that all lie off by somewhat more than they should show an error of the twin itself that lasts, as one of its law
 in cold weather does: a fit takes it for a deviation and leaves nothing of it in any residual. Its variance is what the
@@ -21,14 +22,17 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtri
 
 from twin.tower.air import Array
 from twin.tower.cell_observations import Label
 from twin.tower.estimates import DAY_S, Estimate
 from twin.tower.model import SLOW
 
+CHANCE = 0.01
+"""Share of records without a wrong label in which one contradicts."""
 BEYOND = 2.576
-"""Standard deviations beyond which 1 % of a normal distribution lies."""
+"""Standard deviations beyond which 1 % of a normal distribution lies: from there two values contradict each other."""
 LEAST = 0.05
 """Least precision of a cavity, as a share of the posterior's: below it the label alone decides."""
 MEDIAN = 0.4549
@@ -68,6 +72,11 @@ class _Cavity(NamedTuple):
     def expected(self) -> float:
         """Return the standard deviation of that distance."""
         return float(np.linalg.norm([self.sd, self.label.sd or 0.0, self.lasting]))
+
+    @property
+    def distance(self) -> float:
+        """Return the distance of the mean from the label in standard deviations."""
+        return self.off / self.expected
 
 
 def _cavities(p: Estimate) -> list[_Cavity]:
@@ -113,10 +122,12 @@ def label_conflicts(p: Estimate, walk: Mapping[str, float]) -> tuple[LabelConfli
     walk
         Standard deviation of a day's change by deviation, for two labels of different times.
     """
+    cavities = _cavities(p)
+    limit = float(ndtri(1.0 - CHANCE / (2.0 * max(len(cavities), 1))))
     found = [
-        LabelConflict(one.label, one.mean, float(np.hypot(one.sd, one.lasting)), one.off / one.expected)
-        for one in _cavities(p)
-        if one.off > BEYOND * one.expected
+        LabelConflict(one.label, one.mean, float(np.hypot(one.sd, one.lasting)), one.distance)
+        for one in cavities
+        if one.distance > limit
     ]
     found.sort(key=lambda one: one.label.time_s)
     return tuple(replace(one, other=_contradicted(one, found, walk)) for one in found)
@@ -135,9 +146,9 @@ def _contradicted(one: LabelConflict, found: list[LabelConflict], walk: Mapping[
 
 
 def widened(p: Estimate, conflicts: tuple[LabelConflict, ...]) -> Estimate:
-    """Return the posterior with the standard deviations of contradicted deviations multiplied by the distance."""
-    scale = np.ones(len(SLOW))
-    for one in conflicts:
-        j = SLOW.index(one.label.parameter)
-        scale[j] = max(scale[j], one.distance)
+    """Return the posterior with the standard deviations of contradicted deviations multiplied by Birge's ratio."""
+    scale, cavities = np.ones(len(SLOW)), _cavities(p) if conflicts else []
+    for name in {one.label.parameter for one in conflicts}:
+        squares = [one.distance**2 for one in cavities if one.label.parameter == name]
+        scale[SLOW.index(name)] = max(float(np.sqrt(np.mean(squares))), 1.0)
     return replace(p, widening=scale) if conflicts else p
