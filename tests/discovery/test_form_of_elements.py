@@ -27,7 +27,7 @@ def case(monkeypatch: pytest.MonkeyPatch, site: str, mean: Array, unlisted: floa
     finding = SimpleNamespace(odds=20.0, fit=None, entries=(), unlisted=unlisted, claim=12.0)
     known = SimpleNamespace(probe=SimpleNamespace(network=None))
     grid = SimpleNamespace(measured=None)
-    more = {"errors": {}, "laws": (), "usual": False, "beyond": False}
+    more = {"errors": {}, "laws": (), "usual": False}
     return SimpleNamespace(free=(course,), finding=finding, known=known, whole=None, grid=grid, **more)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from twin.discovery.answer.assessed_finding import AssessedFinding
 from twin.discovery.evidence.commissioned import explains_too_little
 from twin.discovery.evidence.held_out import contradicted
-from twin.discovery.evidence.priors import FORM_ERRORS
+from twin.discovery.evidence.priors import FORM_LIMIT
 from twin.discovery.places.localise import acts_all_along
 from twin.discovery.places.sites import sites_of
 from twin.discovery.scoring.search import Entry
@@ -54,11 +54,11 @@ def of_form(case: AssessedFinding) -> bool:
     """Return True if the likeliest unknown is no more than the form error of one of the twin's own laws.
 
     The law of an element is not quite right, as that of an effect is not. Such an error acts all along, and is at most
-    the largest of the `FORM_ERRORS` of what the element has.
+    the share `FORM_LIMIT` of what the element has.
     """
     if not case.free:
         return False
     best = case.free[0]
     site = sites_of(case.known.probe.network, case.whole, case.laws)[best.site]
     size = float(np.sqrt(np.mean(best.mean**2)))
-    return size <= max(FORM_ERRORS) * site.present and acts_all_along(best)
+    return size <= FORM_LIMIT * site.present and acts_all_along(best)

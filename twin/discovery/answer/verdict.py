@@ -47,7 +47,7 @@ _TOO_LITTLE = (
     "constant; check the units of the record's columns, and whether twin and healthy record are of this rig"
 )
 _FORM = (
-    "what no effect explains acts all along, and is less than a tenth of what the twin's own law has at its place: no "
+    "what no effect explains acts all along, and is less than a fifth of what the twin's own law has at its place: no "
     "more than such a law may be in error itself"
 )
 _ON_A_BOUND = "the likeliest effect is not claimed, as its size ends on a bound of what is possible"

@@ -29,7 +29,9 @@ AT_ONCE = 0.5
 rest equally, and within a family its courses."""
 FORM_ERRORS = (0.01, 0.03, 0.1)
 """Standard deviations of an effect's form error, as equally likely shares of its size: no law is exact."""
-FORM_SHARE = (2.0 * max(FORM_ERRORS)) ** 2
+FORM_LIMIT = 2.0 * max(FORM_ERRORS)
+"""Share of what a law has that an error of its form may amount to: two standard deviations."""
+FORM_SHARE = FORM_LIMIT**2
 """Share of the log odds of an effect that an error of its form, of two standard deviations, may amount to."""
 COINCIDENT_SHARE = (3.0 * max(FORM_ERRORS)) ** 2
 """The same of two effects that begin at one moment, for a form error of three standard deviations. Independent faults
