@@ -24,7 +24,11 @@ def test_the_bus_is_measured_beside_others_and_pipelined_requests_are_answered_i
     assert all(isinstance(cell, float) and cell > 0.0 for row in trips.rows for cell in row[1:])
     assert [row[2] for row in trips.rows if row[0] in trips.columns[2]] == [1.0]
     assert pipelined.rows == (("virtual rig", 50, 50, 50),)
-    assert [row[0] for row in lockstep.rows] == ["ours", "raw socket, nothing decoded or checked"]
+    assert [row[0] for row in lockstep.rows] == [
+        "ours, as in a run: on one processor with the rig",
+        "ours, on processors of their own",
+        "raw socket, nothing decoded or checked",
+    ]
     assert told == sorted(told) and told[-1] == 1.0
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from drivers.modbus import ModbusBus
 from drivers.rig_file import ModbusRtuTcpBus, ModbusTcpBus, Point, load_rig
-from drivers.virtual import VirtualRig, start_virtual_rig
+from drivers.virtual import VirtualRig, start_virtual_rig, taking_turns
 from hil.bench.measure import ReportTable
 from hil.bench.peers import libmodbus, modbus_peer
 
@@ -215,18 +215,25 @@ async def _lockstep(rig: VirtualRig, size: BusSize, progress: Progress) -> Repor
     bus = ModbusBus("plc", ModbusTcpBus(transport="modbus_tcp", port=rig.modbus_port), _points(), time.monotonic)
     await bus.connect()
     part = max(1, size.steps // LOCKSTEP_PARTS)
-    spent = {"ours": 0.0, "raw": 0.0}
-    cpu_s, steps = 0.0, 0
+    spent = {"turns": 0.0, "apart": 0.0, "raw": 0.0}
+    used = {"turns": 0.0, "apart": 0.0}
+    steps = 0
+
+    async def replay(kind: str) -> None:
+        began, cpu = time.perf_counter(), time.process_time()
+        for step in range(steps, min(steps + part, size.steps)):
+            await bus.read()
+            setpoints = {"heater_power_set": step % 900, "pump_speed_set": 80.0, "fan_speed_set": 50.0}
+            await bus.write({**setpoints, "heartbeat": step % 60_000})
+        spent[kind] += time.perf_counter() - began
+        used[kind] += time.process_time() - cpu
+
     try:
         with _raw_step(rig) as raw_step:
             while steps < size.steps:
-                began, cpu = time.perf_counter(), time.process_time()
-                for step in range(steps, min(steps + part, size.steps)):
-                    await bus.read()
-                    setpoints = {"heater_power_set": step % 900, "pump_speed_set": 80.0, "fan_speed_set": 50.0}
-                    await bus.write({**setpoints, "heartbeat": step % 60_000})
-                spent["ours"] += time.perf_counter() - began
-                cpu_s += time.process_time() - cpu
+                await replay("apart")
+                with taking_turns(rig.pids.values()):
+                    await replay("turns")
                 steps = min(steps + part, size.steps)
                 began = time.perf_counter()
                 for _ in range(part // 10):
@@ -241,12 +248,13 @@ async def _lockstep(rig: VirtualRig, size: BusSize, progress: Progress) -> Repor
         "Bus time of forty hours in lockstep: 144,000 reads and writes, one after the other",
         ("client", "s", "CPU s", "aim s"),
         (
-            ("ours", spent["ours"] * forty, cpu_s * forty, AIM_S),
+            ("ours, as in a run: on one processor with the rig", spent["turns"] * forty, used["turns"] * forty, AIM_S),
+            ("ours, on processors of their own", spent["apart"] * forty, used["apart"] * forty, None),
             ("raw socket, nothing decoded or checked", spent["raw"] * forty, None, None),
         ),
         (
-            f"Ours: {size.steps:,} steps measured. All points are read, decoded and judged, four registers written and "
-            "confirmed.",
+            f"Ours: {size.steps:,} steps measured of each, in turns. All points are read, decoded and judged, four "
+            "registers written and confirmed.",
             "Raw: the same bytes for a tenth of the steps, in turns with ours. Nobody gets below that on this machine.",
         ),
     )
