@@ -5,12 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from types import SimpleNamespace
 
-import numpy as np
-import pytest
-
 from tests.discovery.conftest import Bench
-from twin.discovery.diagnosis import SensorError
-from twin.discovery.evidence.commissioned import as_healthy_elsewhere
 from twin.discovery.evidence.part import Part
 from twin.discovery.evidence.search import searched
 from twin.discovery.evidence.split_search import with_fewer_effects
@@ -44,15 +39,3 @@ def test_of_two_effects_one_is_told_by_another_law_of_its_place() -> None:
     elsewhere = hypothesis(99.0, ("sensor", "T_heater_C", "constant"))
     unlikely = hypothesis(60.0, ("flow", "loop", "constant"))
     assert with_fewer_effects(both, [both, elsewhere, other_law, unlikely], 96.0) == [other_law]  # type: ignore[arg-type,list-item]
-
-
-@pytest.mark.parametrize(("worst", "quiet"), [(1.0, True), (2.3, True), (2.8, False)])
-def test_a_healthy_twin_may_leave_more_elsewhere_but_not_anything(worst: float, quiet: bool) -> None:
-    """Squares beyond the noise up to 6.25 times those in health are no alarm, in each part of a record."""
-    usual, noise = 0.2, 0.02
-    errors = {name: SensorError(usual, usual, usual, noise, usual=usual) for name in ("T_a_C", "T_b_C")}
-    off = np.full((400, 2), usual)
-    off[120:220] *= worst
-    assert as_healthy_elsewhere(errors, off, 300) is quiet
-    without = {name: replace(e, usual=0.0) for name, e in errors.items()}
-    assert not as_healthy_elsewhere(without, off, 300)

@@ -11,7 +11,7 @@ from tests.discovery.conftest import HOUR, Bench
 from tests.hil.made_diagnosis import made
 from twin.discovery import diagnose
 from twin.discovery.healthy.basis import Columns
-from twin.discovery.healthy.operating_range import outside, range_notes, with_range_notes
+from twin.discovery.healthy.operating_range import range_notes, with_range_notes
 from twin.kernel import simulate
 
 LIKE = "may always have been so"
@@ -61,14 +61,8 @@ def test_a_note_stands_beside_what_is_claimed_alone(bench: Bench, verdict: str) 
     assert not with_range_notes(made(verdict), bench.network, _with(good, 0, 0.0, 3000.0), None).notes
 
 
-def test_a_room_is_as_far_from_health_as_its_difference_from_the_rig(bench: Bench, healthy: Columns) -> None:
-    inputs = healthy.inputs[:4].copy()
-    inputs[1, 0], inputs[2, 3], inputs[3, 3] = 2000.0, 25.0, 60.0
-    assert outside(bench.network, inputs, healthy).tolist() == [False, True, False, True]
-
-
 @pytest.mark.parametrize("hot", [True, False])
-def test_what_shows_only_where_no_healthy_rig_was_is_no_effect(pair: Bench, pair_healthy: Columns, hot: bool) -> None:
+def test_what_shows_where_no_healthy_rig_was_is_told_with_that(pair: Bench, pair_healthy: Columns, hot: bool) -> None:
     """A thermometer wanders for two hours, while the heater gives more than ever in health or as ever."""
     t, u = pair.inputs(12.0, 5)
     amid = (t > 6.0 * HOUR) & (t < 9.0 * HOUR)
@@ -79,5 +73,5 @@ def test_what_shows_only_where_no_healthy_rig_was_is_no_effect(pair: Bench, pair
     walk = np.cumsum(rng.normal(0.0, 0.02, len(t)))
     y[amid, 1] += (walk - walk[amid][0])[amid]
     found = diagnose(pair.network, Columns(t, u, y), pair_healthy)
-    assert (found.verdict == "adequate") == hot
-    assert any("where inputs stay near their range" in note for note in found.notes) == hot
+    assert found.verdict != "adequate"
+    assert any(LIKE in note for note in found.notes) == hot

@@ -129,7 +129,7 @@ def test_offsets_at_pairs_of_speeds_are_structure_where_a_record_speaks_for_them
     assert any("pump_speed_pct" in name for c in known.structure.candidates for name in c.changes)
     bare = replace(known, structure=replace(known.structure, width=0.0, **plainly(known.structure)))
     best = [max(e.log_bayes for e in Part.of(k, grid).scanned) for k in (known, bare)]
-    assert best[0] < CLAIM < best[1]
+    assert best[0] < 0.5 * best[1]
     none, _ = seen(bench, bench.record(20.0, seed=3), healthy)
     assert none.structure is not None and none.structure.width == 0.0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -40,12 +41,22 @@ def test_a_large_constant_error_is_no_likelier_an_unknown_than_itself(bench: Ben
     assert unknown < named - CLAIM
 
 
-@pytest.mark.parametrize(("where", "needed"), [("T_tank_C", 20.0 - CLAIM), ("tank", 20.0), ("T_heater_C", 20.0)])
-def test_an_unknown_needs_the_odds_of_a_claim_at_the_place_of_a_named_effect_alone(where: str, needed: float) -> None:
+@pytest.mark.parametrize(
+    ("where", "left", "needed"),
+    [
+        ("T_tank_C", 1.5, 20.0 - CLAIM),
+        ("T_tank_C", 0.5, -math.inf),
+        ("tank", 0.5, 20.0),
+        ("T_heater_C", 1.5, 20.0),
+    ],
+)
+def test_an_unknown_needs_a_claim_and_misfit_at_the_place_of_a_named_effect_alone(
+    where: str, left: float, needed: float
+) -> None:
     found = Found((), [], None, {("tank", True): 20.0})  # type: ignore[arg-type]
     candidate = SimpleNamespace(where=where, kind="sensor" if where.startswith("T_") else "heat_source")
-    named = SimpleNamespace(entries=(SimpleNamespace(candidate=candidate),))
-    assert found.rival_of(named) == pytest.approx(needed)  # type: ignore[arg-type]
+    named = SimpleNamespace(entries=(SimpleNamespace(candidate=candidate),), fit=SimpleNamespace(chi=left))
+    assert found.rival_of(named, 0.7) == pytest.approx(needed)  # type: ignore[arg-type]
     assert found.unlisted == pytest.approx(20.0)
 
 

@@ -15,7 +15,6 @@ from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.effects.phrases import clock
 from twin.discovery.evidence.commissioned import (
     as_commissioned,
-    as_healthy_elsewhere,
     as_under_another_load,
     nothing,
     retuned_alone,
@@ -23,11 +22,9 @@ from twin.discovery.evidence.commissioned import (
 from twin.discovery.evidence.held_out import binned
 from twin.discovery.evidence.later_records import reranked
 from twin.discovery.evidence.part import Part
-from twin.discovery.evidence.scan import logsumexp
-from twin.discovery.evidence.search import log_odds_unlisted
 from twin.discovery.evidence.split_search import SplitSearch
 from twin.discovery.healthy.basis import Basis, Columns, basis
-from twin.discovery.healthy.operating_range import outside, range_notes, with_range_notes
+from twin.discovery.healthy.operating_range import with_range_notes
 from twin.discovery.planning.experiment import Limits
 from twin.discovery.planning.forecast import Forecast, either, forecast, plan_of, too_little, too_still, unseen_kinds
 from twin.discovery.records.grid import Grid, on_grid, sample_period
@@ -159,9 +156,6 @@ def _isolated(
         later=tuple(part.grid for part in further),
     )
     found = conclude(case, tuple(notes))
-    elsewhere = range_notes(network, record, healthy) if found.verdict == "unexplained" and healthy is not None else []
-    if elsewhere and (_as_healthy_elsewhere(case) or not _shows_within_range(case, healthy)):
-        found = conclude(replace(case, finding=nothing(finding), beyond=True), (*notes, *elsewhere))
     found = with_range_notes(found, network, record, healthy)
     found = with_leads(found, case, record, healthy)
     if faulty is not None:
@@ -173,33 +167,6 @@ def _isolated(
     left = again(without_faults(faulty, network, replace(record, inputs=given.inputs)))
     left = with_faults(faulty, left, network, start, still)
     return found if left.verdict in ("effect found", "ambiguous") else left
-
-
-def _as_healthy_elsewhere(case: AssessedFinding) -> bool:
-    """Return True if the commissioned twin's error is no larger than in health under another load."""
-    probe, names = case.known.probe, case.known.probe.network.sensor_names
-    off = case.grid.measured - probe.run(case.grid, probe.first_state(case.grid)).readings
-    return as_healthy_elsewhere(case.errors, off[:, [names.index(name) for name in case.errors]], case.split)
-
-
-def _shows_within_range(case: AssessedFinding, healthy: Columns | None) -> bool:
-    """Return True if an unlisted effect is likely without the readings under inputs that were never met in health.
-
-    What a block of the record does to the readings lasts as long as the rig remembers it.
-    """
-    if healthy is None:
-        return True
-    grid, whole = case.grid, case.whole
-    away = np.flatnonzero(outside(case.known.probe.network, grid.inputs, healthy))
-    last = np.full(len(grid.time), -np.inf)
-    last[away] = away
-    since = np.arange(len(grid.time)) - np.maximum.accumulate(last)
-    left_out = since <= whole.memory * whole.step_s / grid.step_s
-    measured = np.where(left_out[:, None], np.nan, grid.measured)
-    if not np.isfinite(measured).any():
-        return False
-    part = Part.of(case.known, replace(grid, measured=measured))
-    return logsumexp(np.array([*log_odds_unlisted(part).values()])) >= case.finding.claim
 
 
 def _said(known: Basis, *others: Segments | Standstill | None) -> list[str]:

@@ -48,7 +48,7 @@ def adequate(case: AssessedFinding) -> bool:
     named = finding.odds if finding.fit is None else -math.inf
     if finding.unlisted >= named and of_form(case):
         return True
-    return case.usual or case.beyond or max(named, finding.unlisted) < finding.claim
+    return case.usual or max(named, finding.unlisted) < finding.claim
 
 
 def of_form(case: AssessedFinding) -> bool:

@@ -26,8 +26,7 @@ class AssessedFinding:
         split: row of `grid` at which the held-out segment begins. errors: per sensor, over the held-out segment.
         free: posterior course of an unknown quantity at each site, free in each block, the likeliest first.
         laws: candidate effects on this record.
-        usual: the re-tuned twin's error is the usual one, so no effect is missing. beyond: inputs leave the healthy
-            record's range far, and the error is no larger than it may be there in health.
+        usual: the re-tuned twin's error is the usual one, so no effect is missing.
         single: thermometers whose mean is one sensor. still: stuck thermometers, and when.
         limits: of the rig, for the next experiment. later: records made since, by which the hypotheses were ranked
             again.
@@ -42,7 +41,6 @@ class AssessedFinding:
     free: tuple[Course, ...]
     laws: Sequence[CandidateLaw] = ()
     usual: bool = False
-    beyond: bool = False
     single: tuple[Members, ...] = ()
     still: tuple[Stuck, ...] = ()
     limits: Limits | None = None

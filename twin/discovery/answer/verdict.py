@@ -42,11 +42,6 @@ from twin.discovery.refit.model import Model
 from twin.discovery.thermometers.faulty_thermometers import attributed, stuck_effects
 from twin.network import Array, Network
 
-_BEYOND = (
-    "something misfits that no effect of the catalogue explains; where inputs stay near their range in the healthy "
-    "record it does not show, or is no more than a healthy twin may leave; a healthy record with such inputs would "
-    "tell whether it is new"
-)
 _TOO_LITTLE = (
     "no effect is likely, and yet the re-tuned twin is off by ten times as much as in health, or by as much as a "
     "constant; check the units of the record's columns, and whether twin and healthy record are of this rig"
@@ -137,8 +132,6 @@ def conclude(case: AssessedFinding, notes: tuple[str, ...]) -> Diagnosis:
 
 
 def _fine(case: AssessedFinding) -> Answer:
-    if case.beyond:
-        return Answer("adequate", notes=(_BEYOND,))
     if case.finding.unlisted >= case.finding.claim and not case.usual and of_form(case):
         return Answer("adequate", notes=(_FORM,))
     loud = case.usual and max(case.finding.odds, case.finding.unlisted) >= case.finding.claim

@@ -42,24 +42,6 @@ def as_under_another_load(network: Network, errors: Mapping[str, SensorError]) -
     return then > 0.0 and beyond <= OTHER_LOAD * then
 
 
-def as_healthy_elsewhere(errors: Mapping[str, SensorError], off: Array, split: int) -> bool:
-    """Return True if a twin's error, in every segment of a record, is no larger than in health under another load.
-
-    Args:
-        errors: of each sensor, with the usual error in health. off: (n, m) K, measured minus simulated by the
-            commissioned twin, of the same sensors. split: row from which `errors` are; every segment is as long as the
-            one after it.
-    """
-    length = len(off) - split
-    squares = np.where(np.isfinite(off), off, 0.0) ** 2
-    sums = np.vstack([np.zeros(off.shape[1]), squares.cumsum(axis=0)])
-    parts = (sums[length:] - sums[:-length]) / length
-    noise, usual = np.array([(e.noise, max(e.usual, e.noise)) for e in errors.values()]).T
-    beyond = np.maximum(parts / noise**2 - 1.0, 0.0).sum(axis=1).max()
-    then = float(((usual / noise) ** 2 - 1.0).sum())
-    return then > 0.0 and float(beyond) <= OTHER_LOAD * then
-
-
 def explains_too_little(network: Network, errors: Mapping[str, SensorError], measured: Array) -> bool:
     """Return True if a re-tuned twin is off by an order more than in health, or by no less than a constant is.
 

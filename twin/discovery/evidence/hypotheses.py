@@ -66,14 +66,17 @@ class Found:
         """Return the log odds of an effect of no listed form, at its likeliest place."""
         return logsumexp(np.array([*self.unlisted_at.values()])) if self.unlisted_at else -math.inf
 
-    def rival_of(self, best: Hypothesis) -> float:
+    def rival_of(self, best: Hypothesis, expected: float) -> float:
         """Return the log odds that named effects have to reach, because of effects of no listed form.
 
         An unlisted effect at the same place makes the same claim, and also that no law describes its course. The second
-        claim needs the odds of a claim.
+        claim needs the odds of a claim, and more misfit than noise alone has (`expected`, per block and sensor).
         """
         own = {place_of(e.candidate) for e in best.entries}
-        odds = [odds - (CLAIM if place in own else 0.0) for place, odds in self.unlisted_at.items()]
+        told = best.fit is not None and best.fit.chi <= expected
+        odds = [
+            odds - (CLAIM if at in own else 0.0) for at, odds in self.unlisted_at.items() if not told or at not in own
+        ]
         return logsumexp(np.array(odds)) if odds else -math.inf
 
     @property

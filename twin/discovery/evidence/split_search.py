@@ -27,8 +27,10 @@ from twin.discovery.records.grid import Grid
 from twin.discovery.refit.fitting import AGAIN, Fit
 from twin.discovery.refit.model import Model
 from twin.discovery.refit.validation import validate
+from twin.discovery.scoring.record_noise import relative_covariances
 from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
+from twin.discovery.scoring.structure import PLAIN
 from twin.discovery.scoring.sweep import LAST_SHARE
 from twin.elements.candidates import Candidate
 from twin.network import Network
@@ -71,6 +73,7 @@ class SplitSearch:
     @classmethod
     def of(cls, network: Network, record: Columns, known: Basis, grid: Grid, say: Callable[[str], None]) -> SplitSearch:
         """Return the search of a record, with the laws that the twin lacked already in health."""
+        known = _with_own_noise(known, grid)
         begun = Part.of(known, grid)
         more = with_missing(begun)
         return cls(network, record, more, grid, begun if more is known else Part.of(more, grid), say)
@@ -222,6 +225,16 @@ class SplitSearch:
         return SplitFinding(finding_of(found, train, self.grid.span_s), train, split, found)
 
 
+def _with_own_noise(known: Basis, grid: Grid) -> Basis:
+    """Return the prior knowledge with the noise of a record, its likeliest effect subtracted."""
+    if known.health is None:
+        return known
+    part = Part.of(known, grid)
+    likeliest = scan(part.score_test, part.laws, timed=False)[:1]
+    effects = [e for e in likeliest if e.z > PLAIN]
+    return replace(known, noise=replace(known.noise, relative=relative_covariances(part.score_test, effects)))
+
+
 def _nearer(part: Part) -> tuple[Candidate, ...]:
     """Return, for laws with many forms, those of greater evidence at each place than the catalogue's own."""
     first: dict[tuple[str, ...], Entry] = {}
@@ -259,7 +272,7 @@ def finding_of(found: Found, part: Part, record_s: float, *, fewer: bool = False
     score_test, claim = part.score_test, max(CLAIM, part.basis.claim)
     part.reset()
     best = _of_possible_sizes(found)
-    least = max(claim, found.unlisted if best is None else found.rival_of(best))
+    least = max(claim, found.unlisted if best is None else found.rival_of(best, score_test.expected))
     together = _at_one_moment(best, score_test) if best is not None and best.odds >= least else None
     if fewer and together is not None and best is not None:
         # What comes back in the turns of another is certainly of one cause, whatever share of it the other has.

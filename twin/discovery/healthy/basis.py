@@ -20,6 +20,7 @@ from twin.discovery.healthy.health import Health, NotHealthyError
 from twin.discovery.healthy.law_amplitudes import HealthyResidual, MissingInHealth
 from twin.discovery.records import noise as noises
 from twin.discovery.records.grid import Grid, on_grid, sample_period
+from twin.discovery.records.transients import Transients
 from twin.discovery.scoring.score_tests import ScoreTest, UsualErrors
 from twin.discovery.scoring.search import scan
 from twin.discovery.scoring.structure import Structure
@@ -90,6 +91,7 @@ class Basis:
         bootstrap: results on simulated healthy records of this twin, if there are any (`bootstrap`).
         earlier: the twin that the healthy record belongs to if it is not the present one, or None.
         health: the healthy record, or None. missing: laws that the twin lacked already in health, by both records.
+        transients: errors after fast changes in the healthy record, or None if there is none.
         period_s: interval between the record's samples, s; 0 if its inputs change at known times.
     """
 
@@ -105,6 +107,7 @@ class Basis:
     earlier: Network | None = None
     health: HealthyResidual | None = None
     missing: MissingInHealth | None = None
+    transients: Transients | None = None
     period_s: float = 0.0
 
     @property
@@ -139,7 +142,9 @@ class Basis:
             here = offsets(self.probe.network, laws, grid)
             structure, laws = structure.beyond(here), [*laws, *here]
         times = heat_by_input_times(self.book, grid, run, self.period_s) if self.period_s else None
-        return ScoreTest(self.probe, grid, state, run, self.noise, self.prior, UsualErrors(structure, laws, times))
+        transient = None if self.transients is None else self.transients.errors(grid, run.readings)
+        usual = UsualErrors(structure, laws, times, transient)
+        return ScoreTest(self.probe, grid, state, run, self.noise, self.prior, usual)
 
     def assumed(self, grid: Grid) -> frozenset[str]:
         """Return the temperatures among the inputs that nobody measured: the same in all of the record, and in health.
@@ -194,6 +199,7 @@ def basis(network: Network, healthy: Columns | None, record: Grid, period_s: flo
             bootstrap=kept(network, healthy.time_s, healthy.inputs, healthy.measured),
             earlier=None if of is probe else of.network,
             health=health.itself,
+            transients=health.transients,
             period_s=period_s,
         )
     state, _, residual, _ = free_run(probe, record)

@@ -15,6 +15,7 @@ from twin.discovery.healthy.law_amplitudes import HealthyResidual
 from twin.discovery.records import noise as noises
 from twin.discovery.records.grid import Grid, on_grid
 from twin.discovery.records.noise import Noise
+from twin.discovery.records.transients import Transients
 from twin.discovery.scoring.score_tests import ScoreTest, UsualErrors
 from twin.discovery.scoring.structure import Structure, structure_of
 from twin.gauss_newton import GaussianPrior
@@ -42,7 +43,8 @@ class NotHealthyError(TwinFileError):
 class Health:
     """Estimates from a healthy record: its noise, the noise `less` its known model error, and that model error.
 
-    `itself` is the record for further estimates; `rough` is a sentence about a residual far above noise, else "".
+    `itself` is the record for further estimates; `transients` are its errors after fast changes; `rough` is a sentence
+    about a residual far above noise, else "".
     """
 
     grid: Grid
@@ -51,6 +53,7 @@ class Health:
     prior: GaussianPrior
     structure: Structure
     itself: HealthyResidual
+    transients: Transients
     rough: str = ""
 
     @classmethod
@@ -73,7 +76,8 @@ class Health:
         amount = _readings(structure, probe, grid, state, run, noise, held, [*laws, *here])
         less = noises.learn(residual - RETURNING * amount, grid.sigma, grid.step_s, run.readings)
         structure = structure_of(ScoreTest(probe, grid, state, run, less, held), laws, here)
-        return cls(grid, noise, less, prior, structure, HealthyResidual(probe, book, grid, state, run, noise), rough)
+        itself = HealthyResidual(probe, book, grid, state, run, noise)
+        return cls(grid, noise, less, prior, structure, itself, Transients.of(grid, run.readings), rough)
 
 
 def _rough(network: Network, rms: Array) -> str:

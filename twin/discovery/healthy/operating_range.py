@@ -10,7 +10,7 @@ import numpy as np
 
 from twin.discovery.diagnosis import Diagnosis
 from twin.discovery.healthy.basis import Columns
-from twin.network import Array, InputSpec, Network
+from twin.network import InputSpec, Network
 
 BEYOND = 0.5
 """Share of an input's healthy range by which it must exceed that range for a note."""
@@ -48,14 +48,6 @@ def range_notes(network: Network, record: Columns, healthy: Columns) -> list[str
             "been so"
         )
     return said
-
-
-def outside(network: Network, inputs: Array, healthy: Columns) -> np.ndarray:
-    """Return True where one of the inputs (n, c) is far beyond its range in the healthy record."""
-    found = np.zeros(len(inputs), dtype=bool)
-    for _, _, j, limits in _ranges(network, healthy):
-        found |= (inputs[:, j] < limits.least) | (inputs[:, j] > limits.most)
-    return found
 
 
 class _Limits(NamedTuple):

@@ -37,10 +37,11 @@ SHRINK = 0.3
 class Noise:
     """Whitening by band for m sensors.
 
-    `roots` (bands, m, m) with roots @ roots' = covariance^-1 of one bin of `step_s`; `sd` (bands, m), K; `white` (m,),
-    K, noise of the thermometers alone in a bin; `moves` (bands,), K^2, power of the twin's readings in the record that
-    it was learned from, or None if it holds for that record alone; `follows`, the power of a calmer record's moves that
-    the model error's power goes with.
+    `roots` (bands, m, m), symmetric, with roots @ roots = covariance^-1 of one bin of `step_s`; `sd` (bands, m), K;
+    `white` (m,), K, noise of the thermometers alone in a bin; `moves` (bands,), K^2, power of the twin's readings in
+    the record that it was learned from, or None if it holds for that record alone; `follows`, the power of a calmer
+    record's moves that the model error's power goes with; `relative` (bands, m, m), covariance in whitened units that a
+    record's own residual leaves of the healthy one (`relative_covariances`), or None.
     """
 
     roots: Array
@@ -49,6 +50,7 @@ class Noise:
     white: Array
     moves: Array | None = None
     follows: float = 1.0
+    relative: Array | None = None
 
     def where_moved(self, readings: Array, step_s: float) -> Noise:
         """Return the noise to expect in a record in which the twin's readings (n, m), degC, are these.
@@ -57,7 +59,8 @@ class Noise:
         standard deviation follows that of the twin's readings, band by band, within a few per cent. The part beyond the
         thermometers' own noise is therefore scaled by it. The slowest band, of too few coefficients, is only scaled up.
         A rig may have errors that its twin's readings do not follow, though. If the calm parts of the healthy record
-        have more error than by this rule, that of a calmer record falls by a lower power of its moves.
+        have more error than by this rule, that of a calmer record falls by a lower power of its moves. Never is the
+        noise less than that of the thermometers.
         """
         if self.moves is None:
             return self
@@ -71,8 +74,26 @@ class Noise:
             inverse = self._inverses[b]
             values, vectors = np.linalg.eigh(inverse.T @ inverse - CAUTION[b] * floor)
             structure = vectors * np.maximum(values, 0.0) @ vectors.T
-            roots[b], sd[b] = _root(CAUTION[b] * floor + ratio[b] * structure)
-        return Noise(roots, sd, self.step_s, self.white)
+            covariance = CAUTION[b] * floor + ratio[b] * structure
+            if self.relative is not None:
+                half = _power(covariance, 0.5)
+                white = np.outer(self.white, self.white)
+                values, vectors = np.linalg.eigh(half @ self.relative[b] @ half / white)
+                covariance = (vectors * np.maximum(values, 1.0)) @ vectors.T * white
+            roots[b], sd[b] = _root(covariance)
+        return Noise(roots, sd, self.step_s, self.white, relative=self.relative)
+
+    @property
+    def expected(self) -> Array:
+        """Return the mean square (bands,) of a whitened coefficient of noise: less than 1 by the factors `CAUTION`.
+
+        What a record's own residual leaves of the noise uses up these factors first.
+        """
+        caution = np.array(CAUTION)
+        if self.relative is None:
+            return 1.0 / caution
+        found: Array = np.minimum(1.0 / (caution[:, None] * np.linalg.eigvalsh(self.relative)), 1.0).mean(axis=1)
+        return found
 
     def of_thermometers(self) -> Noise:
         """Return the noise of the thermometers alone, without model error."""
@@ -128,7 +149,8 @@ class Noise:
         """Return the same noise for means over bins of another length."""
         share = np.sqrt(step_s / self.step_s)
         moves = None if self.moves is None else self.moves / share**2
-        return Noise(self.roots * share, self.sd / share, step_s, self.white / share, moves, self.follows)
+        white = self.white / share
+        return Noise(self.roots * share, self.sd / share, step_s, white, moves, self.follows, self.relative)
 
 
 def bands(n: int, step_s: float) -> np.ndarray:
@@ -208,11 +230,16 @@ def _exponent(residual: Array, sigma: Array, step_s: float, readings: Array) -> 
     return EXPONENTS[best] if found[best] > found[0] + SURELY else EXPONENTS[0]
 
 
-def _root(covariance: Array) -> tuple[Array, Array]:
-    """Return the whitening matrix (m, m) and standard deviations (m,)."""
+def _power(covariance: Array, exponent: float) -> Array:
+    """Return the power of a covariance matrix (m, m)."""
     values, vectors = np.linalg.eigh(covariance)
-    root: Array = vectors / np.sqrt(np.maximum(values, 1e-12))
-    return root, np.sqrt(np.diag(covariance))
+    found: Array = (vectors * np.maximum(values, 1e-12) ** exponent) @ vectors.T
+    return found
+
+
+def _root(covariance: Array) -> tuple[Array, Array]:
+    """Return the symmetric whitening matrix (m, m) and standard deviations (m,)."""
+    return _power(covariance, -0.5), np.sqrt(np.diag(covariance))
 
 
 def learn_blocks(left: Array, sigma: Array, block_s: float, step_s: float, before: Noise) -> Noise:

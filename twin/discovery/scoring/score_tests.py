@@ -22,7 +22,7 @@ from scipy.linalg import block_diag
 from twin.discovery.effects.laws import CandidateLaw
 from twin.discovery.effects.probe import FreeRun, Probe
 from twin.discovery.records.grid import Grid, filled
-from twin.discovery.records.noise import CAUTION, Noise, bands
+from twin.discovery.records.noise import Noise, bands
 from twin.gauss_newton import GaussianPrior
 from twin.network import Array, TwinFileError
 
@@ -76,11 +76,14 @@ class UsualErrors:
             subtracted from the residual, and its uncertainty is noise. None if it is unknown.
         by_times: (c, n, k) W, heat by one standard deviation of the times at which each input changes, which is noise
             too; each change has its own. None if the times are known.
+        transient: (n, m) K, standard deviation of errors after fast changes (`transient_errors`), which are noise too,
+            each block's its own. None if there are none.
     """
 
     structure: Structure | None = None
     laws: Sequence[CandidateLaw] = ()
     by_times: Array | None = None
+    transient: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -163,15 +166,16 @@ class ScoreTest:
         sensitivities = self.seen(np.moveaxis(probe.sensitivities(grid, state), 2, 0))
         self.slopes = self.features(np.moveaxis(sensitivities, 0, 2))
         usual = usual or UsualErrors()
-        times = None if usual.by_times is None else self._by_times(usual.by_times, run, state)
-        self._open, self._less = self._left_by(usual.structure, usual.laws, times)
+        spread = [] if usual.by_times is None else [self._by_times(usual.by_times, run, state)]
+        spread += [] if usual.transient is None else [self._by_transients(usual.transient)]
+        self._open, self._less = self._left_by(usual.structure, usual.laws, spread)
         self._columns, self.slopes = self._narrowed(self._columns), self._narrowed(self.slopes)
         self._normal = self.slopes.T @ self.slopes + self.prior.precision
         cross = self.slopes.T @ self._columns
         self._taken = np.linalg.solve(self._normal, cross)
         self.memo: dict[Hashable, Any] = {}
         self.count = int(self.known.sum())
-        self.expected = float(np.mean(1.0 / np.array(CAUTION)[bands(self.b, self.step_s)]))
+        self.expected = float(np.mean(self.noise.expected[bands(self.b, self.step_s)]))
         self.look_at(run)
 
     @property
@@ -227,16 +231,17 @@ class ScoreTest:
         return np.ascontiguousarray(left.T) - self._less
 
     def _left_by(
-        self, structure: Structure | None, laws: Sequence[CandidateLaw], times: Array | None
+        self, structure: Structure | None, laws: Sequence[CandidateLaw], others: Sequence[Array]
     ) -> tuple[tuple[Array, Array] | None, Array]:
-        """Return the uncertain directions of a structure and of inputs' times, their shrinkage, and the mean.
+        """Return the uncertain directions of a structure and of `others`, their shrinkage, and the structure's mean.
 
-        These are orthonormal whitened directions (b * m, r), the shares (r,) by which their components shrink, and the
-        structure's mean (b * m,), shrunk likewise; None in place of directions if there are none.
+        `others` are whitened responses (b * m, r) to one standard deviation each. Returned are orthonormal whitened
+        directions (b * m, r), the shares (r,) by which their components shrink, and the structure's mean (b * m,),
+        shrunk likewise; None in place of directions if there are none.
         """
         known = {law.candidate.id: law for law in laws}
         here = [] if structure is None else [i for i, c in enumerate(structure.candidates) if c.id in known]
-        spread = np.zeros((self.b * self.m, 0)) if times is None else times
+        spread = np.hstack([np.zeros((self.b * self.m, 0)), *others])
         mean = np.zeros(self.b * self.m)
         if structure is not None and here:
             vectors = np.stack([self.vector(known[structure.candidates[i].id]) for i in here])
@@ -282,6 +287,26 @@ class ScoreTest:
             moved = self.probe.run(self.grid, state, injected=injected).readings - run.readings
             spread[:, j] = self.features(self.seen(moved))
         return np.asarray(spread[:, size > NARROW])
+
+    def _by_transients(self, sd: Array) -> Array:
+        """Return whitened responses (b * m, r) to errors of the readings with standard deviations (n, m), K.
+
+        The errors in a block are alike, and those of two blocks or sensors independent. Errors below noise are left
+        out.
+        """
+        onto = self._columns.reshape(self.b * self.m, self.sites, self.b)[:, self.k :]
+        spread = (onto * np.sqrt(self._means(sd**2)).T).reshape(self.b * self.m, -1)
+        return np.asarray(spread[:, np.linalg.norm(spread, axis=0) > 1.0])
+
+    @property
+    def share_of_noise(self) -> Array:
+        """Return the share (b,) of each whitened coefficient's variance that is noise, not an uncertain structure."""
+        if self._open is None:
+            return np.ones(self.b)
+        directions, less = self._open
+        other = directions**2 @ (1.0 - (1.0 - less) ** 2)
+        share: Array = 1.0 - other.reshape(self.b, self.m).mean(axis=1)
+        return share
 
     def _narrowed(self, whitened: Array) -> Array:
         return whitened if self._open is None else narrowed(whitened, self._open)
