@@ -1,4 +1,4 @@
-"""Errors of a twin after fast changes: the readings of a lumped twin are off where they move fast, and only there.
+"""Errors of a twin after fast changes of its readings.
 
 A pump that changes its speed sends a slug of warm water around its loop. A twin of a few volumes has another course of
 that, for as long as the water needs to go around, by a share of the change. The noise of a healthy residual is the mean
