@@ -82,7 +82,7 @@ class EngineBench:
                 rearm=rearm,
                 watch=watch,
                 guard=guard or NoGuard(),
-                told=self.told.append,
+                announce=self.told.append,
             ),
         )
         self.rig.watch = self._look
