@@ -43,7 +43,9 @@ class Hypothesis:
 
     @property
     def odds(self) -> float:
-        return self.log_prior + self.log_bayes
+        """Return the log posterior odds; minus infinity where the evidence is not finite, as of a fit that diverged."""
+        odds = self.log_prior + self.log_bayes
+        return odds if math.isfinite(odds) else -math.inf
 
     @property
     def labels(self) -> tuple[tuple[str, str, str], ...]:
