@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from twin.discovery.records.change_errors import ChangeErrors
+from twin.discovery.evidence.priors import FORM_ERRORS
+from twin.discovery.records.change_errors import SHARES, ChangeErrors
 from twin.discovery.records.grid import Grid
 from twin.discovery.records.noise import CAUTION, Noise, learn
 
@@ -93,3 +94,7 @@ def test_caution_is_used_up_before_less_is_expected() -> None:
 def test_the_whitening_matrix_is_symmetric() -> None:
     roots = _healthy().roots
     assert np.allclose(roots, np.swapaxes(roots, 1, 2))
+
+
+def test_shares_of_a_change_are_those_of_a_form_error() -> None:
+    assert (0.0, *FORM_ERRORS) == SHARES

@@ -142,7 +142,7 @@ def _searched(
     further: list[Part] = []
     if question.more and len(finding.ranked) > 1:
         say("comparing with further records")
-        further = [split_search.part(on_grid(network, r.time_s, r.inputs, r.measured)) for r in question.more]
+        further = [split_search.further(on_grid(network, r.time_s, r.inputs, r.measured)) for r in question.more]
         for each in further:
             each.know(answers)
         finding, decided = reranked(finding, answer.train, further)

@@ -43,9 +43,8 @@ class Hypothesis:
 
     @property
     def odds(self) -> float:
-        """Return the log posterior odds; minus infinity where the evidence is not finite, as of a fit that diverged."""
-        odds = self.log_prior + self.log_bayes
-        return odds if math.isfinite(odds) else -math.inf
+        """Return the log posterior odds against no effect."""
+        return self.log_prior + self.log_bayes
 
     @property
     def labels(self) -> tuple[tuple[str, str, str], ...]:

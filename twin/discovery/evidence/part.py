@@ -292,11 +292,14 @@ def continued(part: Part, found: list[Fit], rounds: int = ROUNDS) -> list[Fit]:
 
 
 def slower(part: Part, entry: Entry, factor: float) -> Entry | None:
-    """Return an effect of the same capacity with another time constant; None if it has no time constant or no
-    influence.
+    """Return an effect of the same capacity with another time constant; None if it has no time constant, no possible
+    size with the other one, or no influence.
     """
     c = entry.candidate
-    laws = part.basis.book.laws(part.grid, part.run, (c.slower(factor * c.slow_s),)) if c.slower else []
+    other = None if c.slower is None else c.slower(factor * c.slow_s)
+    if other is None or other.lower >= other.upper:
+        return None
+    laws = part.basis.book.laws(part.grid, part.run, (other,))
     if not laws:
         return None
     shape = replace(entry.shape, growth_s=laws[0].candidate.slow_s) if c.begins else entry.shape

@@ -119,8 +119,14 @@ class SplitSearch:
         return self._scanned[0]
 
     def part(self, grid: Grid) -> Part:
-        """Return a part of the record, or a further record, with the law forms of greatest evidence on this record."""
-        made = Part.of(self.known, grid)
+        """Return a part of the record, with the law forms of greatest evidence on all of it."""
+        return self._with_forms(Part.of(self.known, grid))
+
+    def further(self, grid: Grid) -> Part:
+        """Return a further record with its own noise, and with the law forms of greatest evidence on this record."""
+        return self._with_forms(Part.of(_with_own_noise(self.known, grid), grid))
+
+    def _with_forms(self, made: Part) -> Part:
         made.add(self._scanned[1])
         return made
 
@@ -226,13 +232,14 @@ class SplitSearch:
 
 
 def _with_own_noise(known: Basis, grid: Grid) -> Basis:
-    """Return the prior knowledge with the noise of a record, its likeliest effect subtracted."""
+    """Return the prior knowledge with the noise of a record, of which the likeliest effect is no part."""
     if known.health is None:
         return known
-    part = Part.of(known, grid)
+    of_health = replace(known.noise, relative=None)
+    part = Part.of(replace(known, noise=of_health), grid)
     likeliest = scan(part.score_test, part.laws, transient=False)[:1]
     effects = [e for e in likeliest if e.z > PLAIN]
-    return replace(known, noise=replace(known.noise, relative=relative_covariances(part.score_test, effects)))
+    return replace(known, noise=replace(of_health, relative=relative_covariances(part.score_test, effects)))
 
 
 def _nearer(part: Part) -> tuple[Candidate, ...]:

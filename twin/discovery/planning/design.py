@@ -257,9 +257,7 @@ class Designer:
         """Return expected differences (h, h) and gains (h,) of the plan so far."""
         count = len(self._runners)
         white = [self._white(slopes) for slopes in track.slopes]
-        inner = [
-            np.linalg.pinv(j.T @ j + r.precision, hermitian=True) for j, r in zip(white, self._runners, strict=True)
-        ]
+        inner = [np.linalg.inv(j.T @ j + r.precision) for j, r in zip(white, self._runners, strict=True)]
         out = np.zeros((count, count))
         for i, j in itertools.permutations(range(count), 2):
             d = self._white((track.means[i] - track.means[j])[:, :, None])[:, 0]

@@ -25,7 +25,7 @@ SLOW_S = 900.0
 SAMPLE_S = 60.0
 """Interval between the means of a residual that are compared with the changes, s."""
 FACTORS = 2.0 ** -np.arange(0.0, 10.0, 0.5)
-"""Ratios of the variance elsewhere to that of the whole record that are tried."""
+"""Ratios of the variance elsewhere to that of the whole record that are tried: down to a 700th, in steps of 1.4."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def _log_likelihood(squares: Array, *known: Array) -> float:
         squares: (i, m) K^2, of the residual. known: (i, m) K^2 each.
     """
     total = 0.0
-    for found, more in zip(squares.T, np.asarray(sum(known)).T, strict=True):
+    for found, more in zip(squares.T, np.sum(known, axis=0).T, strict=True):
         there = np.isfinite(found)
         if not there.any() or not found[there].any():
             continue

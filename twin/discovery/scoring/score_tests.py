@@ -300,7 +300,7 @@ class ScoreTest:
 
     @property
     def share_of_noise(self) -> Array:
-        """Return the share (b,) of each whitened coefficient's variance that is noise, not an uncertain structure."""
+        """Return the share (b,) of each whitened coefficient's variance that is noise, not one of the `UsualErrors`."""
         if self._open is None:
             return np.ones(self.b)
         directions, less = self._open
