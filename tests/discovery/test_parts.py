@@ -219,6 +219,10 @@ def test_too_little_and_nothing_at_all_are_refused_in_a_sentence(bench: Bench) -
     long = bench.record(1.0)
     with pytest.raises(TwinFileError, match="no reading"):
         on_grid(bench.network, long.time_s, long.inputs, np.full_like(long.measured, np.nan))
+    lost = long.measured.copy()
+    lost[20:] = np.nan
+    with pytest.raises(TwinFileError, match=r"readings reach over 95 s of the record's .* 20 have T_"):
+        on_grid(bench.network, long.time_s, long.inputs, lost)
 
 
 def test_days_are_looked_at_in_longer_bins(bench: Bench) -> None:

@@ -223,6 +223,11 @@ def test_a_case_has_a_fitted_twin_and_an_effect_of_the_wanted_score_or_the_large
     assert np.abs(change[~after]).max(initial=0.0) < 1e-9
 
 
+def test_an_effect_that_feeds_itself_is_made_smaller_until_its_plant_stays_within_numbers() -> None:
+    truth = make_case("layered_tank", 780021, "heat above a temperature").truth
+    assert np.isfinite(truth["score"]) and truth["size"] > 0.0
+
+
 def test_reliability_sets_stated_confidences_beside_the_share_of_right_names() -> None:
     def named(confidence: float, right: bool) -> score.ZooScore:
         found = answer("effect found", (effect("heat_source", "tank", "pump_speed") | {"confidence": confidence},))

@@ -49,6 +49,10 @@ STARTS = 2
 """Descents of commissioning; the second is a check of the first."""
 CLOSE = 0.25
 """Relative difference between the wanted score and the true one that needs no further simulation."""
+TRIES = 5
+"""Sizes of an effect that are simulated at most until its score is close to the wanted one."""
+RUNAWAY = 0.3
+"""Share of a size at which a plant ran away that is tried next, and the largest that is tried from then on."""
 
 
 class SealedFamilyError(PermissionError):
@@ -147,23 +151,21 @@ def make_case(
         wanted = float(np.exp(rng.uniform(*np.log(SCORES))))
         given = size is not None
         amount = float(size) if size is not None else injection.first
-        for _ in range(1 if given else 4):
+        most = injection.most
+        for left in reversed(range(1 if given else TRIES)):
             shown, inputs = inject(plant, drive, schedule, injection, amount, calm, calm_shown)
             scores = ruler.scores(
                 *reversed(_of(fit.network, shown, inputs)),
                 *reversed(_of(fit.network, calm_shown, plant.columns(drive))),
             )
             factor = wanted / max(scores[0], 1e-9)
-            ended = abs(factor - 1.0) < CLOSE or (factor > 1.0 and amount >= injection.most)
-            if ended or given:
+            if not np.isfinite(factor):
+                # With an effect that feeds itself a plant can run away beyond every number.
+                most, factor = amount * RUNAWAY, RUNAWAY
+            elif abs(factor - 1.0) < CLOSE or (factor > 1.0 and amount >= most):
                 break
-            amount = float(min(amount * np.clip(factor, 1e-3, 30.0), injection.most))
-        else:
-            shown, inputs = inject(plant, drive, schedule, injection, amount, calm, calm_shown)
-            scores = ruler.scores(
-                *reversed(_of(fit.network, shown, inputs)),
-                *reversed(_of(fit.network, calm_shown, plant.columns(drive))),
-            )
+            if left:
+                amount = float(min(amount * np.clip(factor, 1e-3, 30.0), most))
         truth |= {
             "effect": kind.name,
             "group": kind.group,

@@ -78,7 +78,7 @@ def on_grid(
     Raises
     ------
     TooShortError
-        It is too short.
+        It is too short, or its readings are.
     TwinFileError
         Not a single reading, or the twin has meters.
     """
@@ -91,7 +91,7 @@ def on_grid(
     known = find_segments(network, t, np.asarray(inputs, dtype=np.float64))
     y = np.where(known.lost[:, None], np.nan, np.asarray(measured, dtype=np.float64))
     period, step, bins = _bins(network, t, least_s)
-    _require_readings(y)
+    _require_readings(network, t, y)
     where = np.minimum(((t - t[0]) / step + 1e-9).astype(np.intp), bins - 1)
     good = np.isfinite(y)
     count = np.stack([np.bincount(where, good[:, j], bins) for j in range(y.shape[1])], axis=1)
@@ -117,12 +117,13 @@ def require_enough(network: Network, time_s: ArrayLike, measured: ArrayLike, lea
     Raises
     ------
     TooShortError
-        It is too short.
+        It is too short, or its readings are.
     TwinFileError
         Not a single reading.
     """
-    _bins(network, clean_time(time_s), least_s)
-    _require_readings(np.asarray(measured, dtype=np.float64))
+    time = clean_time(time_s)
+    _bins(network, time, least_s)
+    _require_readings(network, time, np.asarray(measured, dtype=np.float64))
 
 
 def sample_period(time_s: Array) -> float:
@@ -146,9 +147,19 @@ def _bins(network: Network, t: Array, least_s: float) -> tuple[float, float, int
     return period, float(step), bins
 
 
-def _require_readings(y: Array) -> None:
-    if not np.isfinite(y).any():
+def _require_readings(network: Network, t: Array, y: Array) -> None:
+    """Check that the readings (N, m) of some sensor reach over two windows, as the record must."""
+    found = np.isfinite(y)
+    if not found.any():
         raise TwinFileError("the record has no reading of any of the twin's sensors; check the names of its columns")
+    spans = [float(np.ptp(t[each])) if each.any() else 0.0 for each in found.T]
+    if max(spans) < min(network.rules.window_s, float(t[-1] - t[0])):
+        best = int(np.argmax(found.sum(axis=0)))
+        raise TooShortError(
+            f"the readings reach over {max(spans):.0f} s of the record's {t[-1] - t[0]:.0f} s (of {len(t)} rows, "
+            f"{found[:, best].sum()} have {network.sensors[best].name}); diagnosis needs readings over at least "
+            f"{network.rules.window_s:.0f} s (window_s under [windows] of the twin file)"
+        )
 
 
 def centred(values: Array, centre: float = 0.5) -> Array:
