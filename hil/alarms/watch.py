@@ -281,7 +281,7 @@ class AlarmWatch:
             self._state = row.id
             if row.event == "cut":
                 self._run(row, RUN_INTERRUPTED, True, row.reason)
-            elif row.event in ("trip", "fail"):
+            elif row.event in ("trip", "fail", "fault"):
                 if self._tripped:
                     self._run(row, RUN_TRIP, False, "")
                 self._tripped = self._run(row, RUN_TRIP, True, row.reason)

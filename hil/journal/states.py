@@ -58,7 +58,8 @@ class RunEvent(enum.StrEnum):
     WARN = "warn"  # a warning became active
     CLEAR = "clear"  # all warnings are gone, and have been for their settle times
     TRIP = "trip"  # an alarm, and the run waits for an acknowledgement
-    FAIL = "fail"  # an alarm that ends the run, a fault of rig, link or journal, a defect
+    FAIL = "fail"  # an alarm that ends the run, a fault of rig or link
+    FAULT = "fault"  # a fault of this bench: journal, guardian, a defect
     COMPLETE = "complete"
 
 
@@ -89,14 +90,17 @@ TABLE: dict[tuple[State, RunEvent], State] = {
     **{
         (state, event): _S.FINISHING
         for state in (_S.RESTORING, _S.RUNNING, _S.HELD, _S.PAUSED, _S.SUSPENDED)
-        for event in (_E.ABORT, _E.FAIL)
+        for event in (_E.ABORT, _E.FAIL, _E.FAULT)
     },
     # Before anything was written there is nothing to make safe.
     **{(state, _E.ABORT): _S.ABORTED for state in (_S.IDLE, _S.VALIDATING, _S.CONNECTING)},
-    **{(state, _E.FAIL): _S.FAULTED for state in (_S.IDLE, _S.VALIDATING, _S.CONNECTING)},
+    **{
+        (state, event): _S.FAULTED for state in (_S.IDLE, _S.VALIDATING, _S.CONNECTING) for event in (_E.FAIL, _E.FAULT)
+    },
     (_S.FINISHING, _E.COMPLETE): _S.DONE,
     (_S.FINISHING, _E.ABORT): _S.ABORTED,
     (_S.FINISHING, _E.FAIL): _S.FAULTED,
+    (_S.FINISHING, _E.FAULT): _S.FAULTED,
 }
 
 UNTOUCHED = frozenset({State.IDLE, State.VALIDATING, State.CONNECTING})
@@ -113,6 +117,9 @@ WAITING = frozenset({State.HELD, State.PAUSED})
 
 ACKNOWLEDGED = "trip acknowledged"
 """Begin of the event that a trip was acknowledged: the run stays paused, so that there is no transition."""
+
+NO_TICK = "no tick for"
+"""Begin of the sentence of a trip because this process or its machine was paused: a fault of the bench."""
 
 
 class TransitionError(Exception):
@@ -136,7 +143,7 @@ def next_state(state: State, event: RunEvent) -> State | None:
 
 def event_level(step: Transition) -> str:
     """Return the level of the event of a transition: INFO, WARN or ERROR."""
-    if step.event is RunEvent.FAIL or step.event is RunEvent.TRIP:
+    if step.event in (RunEvent.FAIL, RunEvent.FAULT, RunEvent.TRIP):
         return "ERROR"
     return "WARN" if step.event in (RunEvent.WARN, RunEvent.ABORT) else "INFO"
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hil.testing.plan import Limit, Plan, TestPlanError, read_plan
     from hil.testing.prepared import PreparedTest, live_watch, prepared_test
     from hil.testing.recorded import judge_run
-    from hil.testing.results import TestResult, junit, write_results
+    from hil.testing.results import TestResult, is_wanted_trip, junit, write_results
     from hil.testing.run_data import RunData, read_run, root_mean_square
     from hil.testing.terminal import document_lines
 
@@ -35,6 +35,7 @@ __all__ = [
     "TestResult",
     "bind",
     "document_lines",
+    "is_wanted_trip",
     "judge_all",
     "judge_run",
     "junit",
@@ -78,6 +79,7 @@ __getattr__, __dir__ = lazy_names(
         "recorded": ("judge_run",),
         "results": (
             "TestResult",
+            "is_wanted_trip",
             "junit",
             "write_results",
         ),

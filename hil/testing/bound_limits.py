@@ -19,6 +19,7 @@ from hil.testing.limits import (
     NoTrip,
     Settles,
     Statement,
+    Trips,
     TwinError,
     UnitError,
     While,
@@ -109,12 +110,18 @@ def _bound(limit: Limit, known: RigSignals) -> BoundLimit:
                 f"is for {time_s:g} s, and the profile ends at {known.duration_s:g} s; correct the time or extend the "
                 "profile"
             )
-    whole = isinstance(statement, NoEffect | NoTrip)
-    if whole and (window.from_s is not None or window.to_s is not None or window.while_ is not None):
+    is_timed = window.from_s is not None or window.to_s is not None
+    if isinstance(statement, NoEffect) and (is_timed or window.while_ is not None):
         raise _MismatchError("judges the whole run; take its times and conditions out")
+    if isinstance(statement, NoTrip | Trips) and window.while_ is not None:
+        raise _MismatchError("judges trips, which no `while` applies to; give it times instead")
     if isinstance(statement, NoEffect) and not known.twin_sensors:
         raise _MismatchError("judges a diagnosis, which needs a twin, and there is none; give the rig one (--twin)")
-    if isinstance(statement, NoEffect | NoTrip):
+    if isinstance(statement, Trips) and statement.signal is not None:
+        columns, _, _ = _resolve(statement.signal, known)
+        names = tuple(signal.name for signal in known.signals if signal.column in columns)
+        statement = replace(statement, names=names)
+    if isinstance(statement, NoEffect | NoTrip | Trips):
         return BoundLimit(limit, statement, (), "", from_s, to_s)
     if isinstance(statement, TwinError):
         made = _of_twin(limit, statement, known, from_s, to_s)

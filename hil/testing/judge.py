@@ -8,6 +8,7 @@ fails only if it does so with the missing values on either side.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -15,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.testing.bound_limits import BoundLimit
-from hil.testing.limits import TIMES_S, Bound, Compared, Follows, NoEffect, NoTrip, Settles, TwinError
+from hil.testing.limits import TIMES_S, Bound, Compared, Follows, NoEffect, NoTrip, Settles, Trips, TwinError
 from hil.testing.plan import Limit
-from hil.testing.run_data import Floats, RunData, carried_on, longest_piece, root_mean_square, ticks_within
+from hil.testing.run_data import Floats, RunData, Trip, carried_on, longest_piece, root_mean_square, ticks_within
 from hil.testing.settling import judge_settling
 from hil.testing.verdicts import Finding, Verdict, shown, worst
 
@@ -54,7 +55,9 @@ def _judged(bound: BoundLimit, data: RunData) -> Judgement:
     if isinstance(statement, NoEffect):
         return _said(bound, _no_effect(data))
     if isinstance(statement, NoTrip):
-        return _said(bound, _no_trip(data))
+        return _said(bound, _no_trip(bound, data))
+    if isinstance(statement, Trips):
+        return _said(bound, _trips(bound, statement, data))
     if isinstance(statement, TwinError):
         residual = data.measured(statement.sensor) - data.twins[statement.twin][statement.sensor]
         return _said(bound, _twin_error(_Times.of(bound, data, residual), statement, bound))
@@ -431,10 +434,46 @@ def _no_effect(data: RunData) -> Finding:
     return Finding("fail" if found.verdict in ("effect found", "ambiguous") else "inconclusive", text)
 
 
-def _no_trip(data: RunData) -> Finding:
-    if data.trips:
-        return Finding("fail", data.trips[0])
-    if not data.has_ended:
-        why = f": {data.reason}" if data.reason else ""
-        return Finding("inconclusive", f"the run did not go to its end{why}")
-    return Finding("pass", "nothing tripped")
+def _tripped(bound: BoundLimit, data: RunData) -> list[Trip]:
+    """Return the trips by interlocks, rig or link in the time of a limit, without those by the test or the bench."""
+    within_s = (trip for trip in data.trips if bound.from_s - _SAME_S <= trip.at_s <= bound.to_s + _SAME_S)
+    return [trip for trip in within_s if trip.by == "protection"]
+
+
+def _ended_early(bound: BoundLimit, data: RunData) -> Finding | None:
+    """Return the finding on a run whose profile ended before that of the limit; None where it went on to it."""
+    last_s = float(data.time_s[-1]) if len(data.time_s) else -math.inf
+    if data.has_ended or (bound.to_s < data.duration_s and last_s >= bound.to_s - _SAME_S):
+        return None
+    end = "its end" if bound.to_s >= data.duration_s else f"{bound.to_s:g} s of the profile"
+    why = f": {data.reason}" if data.reason else ""
+    if data.trips and data.trips[-1].by != "protection":
+        by = "a limit of a test ended it, and no protection" if data.trips[-1].by == "test" else "a fault of the bench"
+        why += f" ({by})"
+    return Finding("inconclusive", f"the run did not go to {end}{why}")
+
+
+def _no_trip(bound: BoundLimit, data: RunData) -> Finding:
+    found = _tripped(bound, data)
+    if found:
+        return Finding("fail", found[0].reason, at_s=found[0].at_s)
+    others = {"test": "tripped by a limit of a test", "bench": "interrupted by a fault of the bench"}
+    noted = [f"{others[trip.by]} at {trip.at_s:g} s" for trip in data.trips if trip.by != "protection"]
+    text = "nothing tripped" + (f"; the run was {', '.join(noted)} and went on" if noted else "")
+    return _ended_early(bound, data) or Finding("pass", text)
+
+
+def _trips(bound: BoundLimit, said: Trips, data: RunData) -> Finding:
+    """Return the finding on a trip that the test asks for, by the right cause and in its time."""
+    found = _tripped(bound, data)
+    named = [
+        trip
+        for trip in found
+        if said.signal is None or any(re.search(rf"(?<!\w){re.escape(name)}(?!\w)", trip.reason) for name in said.names)
+    ]
+    if named:
+        return Finding("pass", f"at {named[0].at_s:g} s: {named[0].reason}", at_s=named[0].at_s)
+    if found:
+        text = f"tripped by something else than {said.signal} at {found[0].at_s:g} s: {found[0].reason}"
+        return Finding("fail", text, at_s=found[0].at_s)
+    return _ended_early(bound, data) or Finding("fail", "nothing tripped in its time")

@@ -16,7 +16,7 @@ import numpy as np
 from drivers.signals import Signal
 from hil.testing.bound_limits import BoundLimit
 from hil.testing.judge import Judgement, holds_always, is_above, judge
-from hil.testing.limits import Bound, Compared, Follows, NoEffect, NoTrip, Settles, TwinError
+from hil.testing.limits import Bound, Compared, Follows, NoEffect, NoTrip, Settles, Trips, TwinError
 from hil.testing.plan import Plan
 from hil.testing.run_data import RunData
 from hil.testing.terminal import judgement_line
@@ -129,7 +129,7 @@ class LiveTest:
 def _has_window(bound: BoundLimit) -> bool:
     """Return True for a limit on signals with times of its own."""
     window = bound.limit.sentence.window
-    on_signals = not isinstance(bound.statement, TwinError | NoEffect | NoTrip)
+    on_signals = not isinstance(bound.statement, TwinError | NoEffect | NoTrip | Trips)
     return on_signals and (window.from_s is not None or window.to_s is not None)
 
 

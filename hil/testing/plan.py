@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from drivers.rig_file import line_of, mistake, read_regular, tables_of
-from hil.testing.limits import NoEffect, NoTrip, Sentence, SentenceError, Window, parse, parse_time
+from hil.testing.limits import NoEffect, Sentence, SentenceError, Window, parse, parse_time
 
 Severity = Literal["critical", "major", "minor"]
 SEVERITIES: tuple[Severity, ...] = ("minor", "major", "critical")
@@ -298,7 +298,7 @@ def _in_step(section: LimitSection, sentence: Sentence, steps: dict[str, Step]) 
     step = steps.get(section.step)
     if step is None:
         return f"there is no step {section.step!r}; there are {', '.join(steps) or 'none'}", sentence
-    if isinstance(sentence.statement, NoEffect | NoTrip):
+    if isinstance(sentence.statement, NoEffect):
         return f"{section.limit!r} judges the whole run; take `step` out", sentence
     window = sentence.window
     if window.from_s is not None or window.to_s is not None:

@@ -12,6 +12,7 @@ from typing import Any
 from hil.files import plain, replacing
 from hil.run_folder import RunFolder, label_texts, read_verdict
 from hil.testing.judge import Judgement
+from hil.testing.limits import Trips, parse
 from hil.testing.plan import Plan
 from hil.testing.verdicts import Verdict, overall
 
@@ -82,6 +83,13 @@ def write_results(folder: RunFolder, result: TestResult) -> dict[str, Any]:
         manifest = folder.read_manifest()
         unfinished.write_bytes(junit(document, manifest, label_texts(folder, manifest)))
     return document
+
+
+def is_wanted_trip(document: dict[str, Any]) -> bool:
+    """Return True for a passed `verdict.json` with a trip that a limit asked for: its run need not go to the end."""
+    limits = (limit for test in document["tests"] for limit in test["limits"])
+    asked = (limit for limit in limits if limit["limit"].lower().startswith("trip"))
+    return document["verdict"] == "pass" and any(isinstance(parse(limit["limit"]).statement, Trips) for limit in asked)
 
 
 def _history(test: dict[str, Any]) -> list[dict[str, Any]]:

@@ -3,20 +3,39 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.signals import Quality
-from hil.journal import ENDED, JournalReader, RunEvent, State, StateRow, profile_times, samples_sha256
+from hil.journal import ENDED, NO_TICK, JournalReader, RunEvent, State, StateRow, profile_times, samples_sha256
 from hil.run_folder import DiagnosisVerdict, RunFolder, read_diagnosis_verdict
 from hil.testing.bound_limits import RigSignals
 
 Floats = NDArray[np.float64]
 _SAME = 1e-6
 """Share of a tick by which two times may differ and still be the same."""
+
+
+_BY_TEST = re.compile(r"test [A-Za-z0-9_.:-]+: limit ")
+"""Begin of the reason of a trip that a limit of a test has asked for (see `hil.testing.live`)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trip:
+    """Trip or failure of a run at `at_s`, s of profile time.
+
+    `by` is `test` where a limit of a test plan has tripped the run, `bench` for a fault of the bench itself (journal,
+    guardian, a process that was paused, a defect), else `protection`: interlocks, the rig's own trip, a lost link.
+    """
+
+    reason: str
+    at_s: float
+    by: Literal["protection", "test", "bench"] = "protection"
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +55,12 @@ class StandingTicks:
 class RunData:
     """Values of a run at `time_s` (n,), s of profile time, of the ticks on which the profile went on.
 
-    `columns` are values (n,) by column in the units of their signals, NaN where none is good. `setpoints` names those
-    that are commanded. `twins` are predictions (n,) in degC by twin and sensor. `diagnosis` is the verdict of the
-    diagnosis, None without one. `trips` are the trips of the run, a sentence each. `has_ended` is True for a run that
-    went to its end. `standing` are the ticks on which the profile stood, None where they are unknown. `parts` (n,) are
-    numbers that differ for ticks between which the profile stood, None where it never did. `reason` states why the run
-    has ended, empty for one that has not.
+    `columns` are values (n,) by column in the units of their signals, NaN where none is good. `setpoints` names
+    those that are commanded. `twins` are predictions (n,) in degC by twin and sensor. `diagnosis` is the verdict of
+    the diagnosis, None without one. `trips` are the trips and failures of the run in their order. `has_ended` is
+    True for a run that went to its end. `standing` are the ticks on which the profile stood, None where they are
+    unknown. `parts` (n,) are numbers that differ for ticks between which the profile stood, None where it never
+    did. `reason` states why the run has ended, empty for one that has not.
     """
 
     time_s: Floats
@@ -52,7 +71,7 @@ class RunData:
     twins: Mapping[str, Mapping[str, Floats]] = field(default_factory=dict)
     sensors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     diagnosis: DiagnosisVerdict | None = None
-    trips: tuple[str, ...] = ()
+    trips: tuple[Trip, ...] = ()
     has_ended: bool = False
     standing: StandingTicks | None = None
     parts: NDArray[np.int64] | None = None
@@ -205,11 +224,22 @@ def _on_profile(states: Sequence[StateRow], tick: NDArray[np.int64]) -> NDArray[
     return np.asarray(_in_states(states, tick, _goes_on) | (tick == first))
 
 
-def trips_of(states: Sequence[StateRow]) -> tuple[str, ...]:
-    """Return the reasons of all trips and failures in the transitions of a run.
+def trips_of(states: Sequence[StateRow]) -> tuple[Trip, ...]:
+    """Return all trips and failures in the transitions of a run, each reason once.
 
     What fails before the profile has begun, such as a rig that is off, is none: nothing was tested then.
     """
-    events = (RunEvent.TRIP.value, RunEvent.FAIL.value)
+    events = (RunEvent.TRIP.value, RunEvent.FAIL.value, RunEvent.FAULT.value)
     first = next((place for place, row in enumerate(states) if row.target == State.RUNNING), len(states))
-    return tuple(dict.fromkeys(row.reason for row in states[first:] if row.event in events))
+    found: dict[str, Trip] = {}
+    for row in states[first:]:
+        if row.event in events:
+            found.setdefault(row.reason, Trip(row.reason, row.profile_s, _tripped_by(row)))
+    return tuple(found.values())
+
+
+def _tripped_by(row: StateRow) -> Literal["protection", "test", "bench"]:
+    said = row.reason.removeprefix("tripped: ")
+    if row.event == RunEvent.FAULT.value or said.startswith(NO_TICK):
+        return "bench"
+    return "test" if _BY_TEST.match(said) else "protection"

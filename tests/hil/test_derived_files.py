@@ -28,11 +28,12 @@ from hil.review import write_review
 from hil.run.engine import Outcome
 from hil.run.session.derived_files import DerivedFiles, derive_files, missing_sentence
 from hil.run.session.interrupted_run import request_of
-from hil.run.session.manifest import END_KEYS, END_OF_RUN, RUN_UID, end_entries
+from hil.run.session.manifest import END_KEYS, END_OF_RUN, RUN_UID, TWIN_KEYS, end_entries, twin_entries
 from hil.run.session.regenerate import regenerate_files
 from hil.run_folder import read_verdict
 from hil.run_folder.folder import FolderLostError, RunFolderError
 from hil.run_folder.manifest_check import left_safe
+from hil.tracking import Comparison, ErrorTable
 from tests.hil.ended_run import ended_run
 from tests.hil.made_diagnosis import SENSORS
 from tests.hil.made_diagnosis import made as diagnosis
@@ -222,14 +223,19 @@ def test_the_journal_keeps_how_a_run_ended_that_was_killed_before_its_manifest(t
     end = end_entries(folder, manifest, Outcome("done", "the profile is over", 300, safe=True), None, 9.0)
     assert set(end) == set(END_KEYS)
     writer = JournalWriter(folder.journal, narrowed(make(300)).header, again=True)
-    writer.put_meta(END_OF_RUN, end | {"uid": "of another"})
+    errors = ErrorTable(("static",), {"T_tank_C": (0.123,)}, {"T_tank_C": 0.01})
+    twins = twin_entries(Comparison(errors, {}, {}, {}))
+    assert set(twins) == set(TWIN_KEYS) == set(twin_entries(None))
+    writer.put_meta(END_OF_RUN, end | twins | {"uid": "of another"})
     writer.close()
     begun = {key: value for key, value in manifest.items() if key not in END_KEYS}
     folder.write_manifest(begun | {"exit_status": "running", "reason": "", "segments": []})
     regenerate_files(folder, False, lambda text: None)
     found = folder.read_manifest()
     assert left_safe(found) and found["wall_s"] == 9.0 and found["uid"] == manifest["uid"]
-    assert "left at its safe value, read back" in folder.report.read_text(encoding="utf-8")
+    page = folder.report.read_text(encoding="utf-8")
+    assert "left at its safe value, read back" in page
+    assert "RMSE in K" in page and "0.123" in page
 
 
 def test_a_test_that_was_killed_during_its_last_diagnosis_is_judged_and_names_the_lack(tmp_path):

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.journal import StateRow
+from hil.journal import NO_TICK, StateRow
 from hil.run_folder import DiagnosisVerdict
 from hil.testing.judge import judge
-from hil.testing.run_data import trips_of
+from hil.testing.run_data import Trip, trips_of
 from tests.hil.made_plan import bound, made_run
 
 WHOLE = np.arange(401.0)
@@ -165,7 +165,7 @@ def test_a_diagnosis_is_judged_by_its_verdict(tmp_path, verdict, expected):
 
 
 def test_a_trip_is_a_failure_with_its_reason(tmp_path):
-    found = judged(tmp_path, "no trip", replace(made_run(), trips=("T_tank is 99 °C",)))
+    found = judged(tmp_path, "no trip", replace(made_run(), trips=(Trip("T_tank is 99 °C", 90.0),)))
     assert (found.verdict, found.text) == ("fail", "T_tank is 99 °C")
 
 
@@ -183,4 +183,49 @@ def test_what_fails_before_the_profile_has_begun_is_no_trip():
     off = rows(("idle", "validate", "validating"), ("connecting", "fail", "faulted"))
     assert trips_of(off) == () == trips_of(rows(("restoring", "fail", "finishing"), ("finishing", "fail", "faulted")))
     begun = rows(("restoring", "start", "running"), ("running", "trip", "paused"), ("finishing", "fail", "faulted"))
-    assert trips_of(begun) == ("reason 1", "reason 2")
+    assert [trip.reason for trip in trips_of(begun)] == ["reason 1", "reason 2"]
+
+
+BY_TEST = Trip("tripped: test small: limit L1 (T_tank < 5 degC) failed: 9 °C", 90.0, "test")
+BY_BENCH = Trip("the guardian is gone", 95.0, "bench")
+BY_TANK = Trip("T_tank is 99 degC, its alarm limits are -5 to 75", 210.0)
+
+
+def test_who_tripped_a_run_is_read_from_its_transitions():
+    begun = StateRow(0, 0, 0.0, 0.0, 0.0, "restoring", "start", "running", "")
+    rows = [
+        replace(begun, id=1, source="running", event="trip", profile_s=90.0, reason=BY_TEST.reason),
+        replace(begun, id=2, source="running", event="trip", profile_s=92.0, reason=f"tripped: {NO_TICK} 9.0 s, at most"),
+        replace(begun, id=3, source="running", event="fault", profile_s=95.0, reason=BY_BENCH.reason),
+        replace(begun, id=4, source="running", event="fail", profile_s=210.0, reason=BY_TANK.reason),
+        replace(begun, id=5, source="finishing", event="fail", profile_s=210.0, reason=BY_TANK.reason),
+    ]
+    found = trips_of([begun, *rows])
+    assert [trip.by for trip in found] == ["test", "bench", "bench", "protection"]
+    assert (found[0], found[2], found[3]) == (BY_TEST, BY_BENCH, BY_TANK)
+    named_test = replace(begun, event="trip", reason="tripped: test is 99 degC, its alarm limits are -5 to 75")
+    assert trips_of([begun, named_test])[0].by == "protection"
+
+
+@pytest.mark.parametrize(
+    ("sentence", "trips", "end_s", "verdict"),
+    [
+        ("no trip", (BY_TEST,), 90.0, "inconclusive"),
+        ("no trip", (BY_TEST, BY_BENCH), 400.0, "pass"),
+        ("no trip", (BY_BENCH,), 95.0, "inconclusive"),
+        ("no trip", (BY_TEST, BY_TANK), 400.0, "fail"),
+        ("no trip before 200 s", (BY_TANK,), 210.0, "pass"),
+        ("no trip before 210 s", (BY_TANK,), 210.0, "fail"),
+        ("no trip after 220 s", (BY_TANK,), 210.0, "inconclusive"),
+        ("trip", (BY_TANK,), 210.0, "pass"),
+        ("trip of T_tank_C from 200 s to 220 s", (BY_TANK,), 210.0, "pass"),
+        ("trip of T_modules_C", (BY_TANK,), 210.0, "fail"),
+        ("trip of T_tank before 200 s", (BY_TANK,), 210.0, "fail"),
+        ("trip of T_tank after 300 s", (BY_TANK,), 210.0, "inconclusive"),
+        ("trip", (), 400.0, "fail"),
+        ("trip", (BY_TEST,), 90.0, "inconclusive"),
+    ],
+)
+def test_a_trip_is_judged_by_its_cause_and_its_time(tmp_path, sentence, trips, end_s, verdict):
+    run = replace(made_run(end_s), trips=trips)
+    assert judged(tmp_path, sentence, run).verdict == verdict

@@ -15,6 +15,7 @@ from hil.testing.limits import (
     NoTrip,
     SentenceError,
     Settles,
+    Trips,
     TwinError,
     Window,
     parse,
@@ -48,6 +49,9 @@ from hil.testing.limits import (
         ("x measured within 5 % of its set point", Follows("x", Amount(5.0, "%"))),
         ("no effect found", NoEffect()),
         ("no trip", NoTrip()),
+        ("trip", Trips()),
+        ("Trip of T_tank", Trips("T_tank")),
+        ("trip < 3", Compared("value", "trip", Bound("<", Amount(3.0)))),
     ],
 )
 def test_a_sentence_has_one_meaning(text, statement):

@@ -10,6 +10,7 @@ import pytest
 
 from hil.run_folder import Labels, RunFolderError, add_note, read_verdict
 from hil.testing import judge_run, junit, read_plan, requirement_matrix
+from hil.testing.matrix import references
 from tests.hil.command_line import typed
 from tests.hil.ended_run import ended_run
 from tests.hil.made_plan import plan_text
@@ -134,6 +135,29 @@ def test_requirements_have_the_worst_verdict_of_their_limits_in_each_run(judged,
     done = typed("test", "--matrix", folder.path, other.path)
     assert done.returncode == 1 and "REQ-2" in done.stdout
     assert typed("test", "--matrix", other.path, "--json").returncode == 0
+    text = plan.read_text(encoding="utf-8").replace('"REQ-1"', '"REQ-10: keeps cool"')
+    plan.write_text(text.replace('"REQ-3"', '"REQ-2; REQ-10"'), encoding="utf-8")
+    judge_run(read_plan(plan), folder)
+    made = requirement_matrix([folder])
+    assert list(made.rows.items()) == [("REQ-2", ("fail",)), ("REQ-10", ("inconclusive",))]
+    assert made.heading("REQ-10") == "REQ-10: keeps cool" and made.limits["REQ-10"] == ("small/L1", "small/L3")
+
+
+@pytest.mark.parametrize(
+    ("requirement", "found"),
+    [
+        ("REQ-7", (("REQ-7",), "")),
+        ("REQ-7:  the tank  stays cool", (("REQ-7",), "the tank stays cool")),
+        ("SYS/4.2.1, SYS/4.2.3;REQ_9: cool", (("SYS/4.2.1", "SYS/4.2.3", "REQ_9"), "cool")),
+        ("REQ-7,REQ-7", (("REQ-7",), "")),
+        ("https://doors:80/r7", (("https://doors:80/r7",), "")),
+        ("the tank stays below 60 °C", (("the tank stays below 60 °C",), "")),
+        ("cooling: 3 of 4 fans", (("cooling: 3 of 4 fans",), "")),
+        (" ", ((" ",), "")),
+    ],
+)
+def test_references_of_a_requirement(requirement, found):
+    assert references(requirement) == found
 
 
 @pytest.mark.parametrize(

@@ -136,5 +136,5 @@ def command(
             live.show_result(result)
             for line in document_lines(judged):
                 click.echo(line)
-    if code := result.exit_code or int(judged["verdict"] != "pass"):
+    if code := result.exit_code_of_test(judged):
         sys.exit(code)

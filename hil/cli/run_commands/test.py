@@ -165,7 +165,7 @@ def _run(request: RunRequest, as_json: bool) -> None:
             live.show_result(result)
             for line in document_lines(document):
                 click.echo(line)
-    sys.exit(result.exit_code or int(document["verdict"] != "pass"))
+    sys.exit(result.exit_code_of_test(document))
 
 
 def _judge(plan: Path, run: Path, check_only: bool, as_json: bool) -> None:
@@ -205,6 +205,8 @@ def _show_matrix(paths: tuple[Path, ...], as_json: bool) -> None:
         for heading in ("requirement", "limits", *made.runs):
             table.add_column(heading, overflow="fold")
         for requirement, row in made.rows.items():
-            table.add_row(requirement, ", ".join(made.limits[requirement]), *(verdict or "-" for verdict in row))
+            table.add_row(
+                made.heading(requirement), ", ".join(made.limits[requirement]), *(verdict or "-" for verdict in row)
+            )
         console().print(table, markup=False)
     sys.exit(int(made.verdict != "pass"))

@@ -100,10 +100,12 @@ class Engine:
         fatal: BaseException | None = None
         try:
             event, reason = await self._drive()
-        except (DriverError, JournalError) as error:
+        except DriverError as error:
             reason = str(error)
+        except JournalError as error:
+            event, reason = RunEvent.FAULT, str(error)
         except BaseException as error:
-            reason, fatal = f"{type(error).__name__}: {error}", error
+            event, reason, fatal = RunEvent.FAULT, f"{type(error).__name__}: {error}", error
         if self._machine.state not in UNTOUCHED:
             # Nothing may come before this: no file, no terminal, no message.
             interrupted = await self._ending.safely(event, reason, outcome)
@@ -170,7 +172,9 @@ class Engine:
         armed = self._outputs.arm(self._parts.advance, self._interlocks.rig_trip)
         cut = await attended(armed, self._supervisor.stopping, self._parts.trouble)
         if isinstance(cut, Cut):
-            return (RunEvent.FAIL, cut.trouble) if cut.trouble else self._supervisor.stop or (RunEvent.ABORT, "stopped")
+            return (
+                (RunEvent.FAULT, cut.trouble) if cut.trouble else self._supervisor.stop or (RunEvent.ABORT, "stopped")
+            )
         if resumption is None:
             machine.take(RunEvent.START, f"running {self._profile.name} on {rig.name}")
         await self._clock.start()

@@ -59,7 +59,7 @@ class TickWork:
         if isinstance(done, Finished):
             return done.result
         if done.trouble is not None:
-            return RunEvent.FAIL, done.trouble
+            return RunEvent.FAULT, done.trouble
         if self._supervisor.stop is None:
             await self._obey_now()
         return self._supervisor.stop
@@ -95,7 +95,7 @@ class TickWork:
         # A machine without descriptors cannot open the link again: waiting for it would only heat on.
         why = self._guard.failure() or (self._connection.exhausted if snapshot.faults else None)
         if why is not None:
-            return RunEvent.FAIL, why
+            return RunEvent.FAULT, why
         await self._readback.look(snapshot, self._outputs.values, now)
         ended = self._supervisor.step(snapshot, now, self._outputs.values, self._residuals())
         if ended is None and self.restore is not None:

@@ -14,6 +14,7 @@ from typing import Protocol
 
 from drivers.rig_file import NoFlowSpec, Point, RateOfRiseSpec, ResidualSpec, Rig
 from drivers.signals import Quality
+from hil.journal import NO_TICK
 
 _GOOD = int(Quality.GOOD)
 _MEASURED = (_GOOD, int(Quality.OUT_OF_RANGE))
@@ -105,7 +106,7 @@ class TickGap:
         if not passed > self.after_s:
             return None
         return (
-            f"no tick for {passed:.1f} s, at most {self.after_s:g} s is allowed: this process or its machine was paused"
+            f"{NO_TICK} {passed:.1f} s, at most {self.after_s:g} s is allowed: this process or its machine was paused"
         )
 
 

@@ -123,8 +123,9 @@ class Interlocks:
         self._rig_trips = [condition for condition in heartbeat if isinstance(condition, RigTrip)]
         all_alarms: list[tuple[Condition, float]] = [
             *((LimitViolation(point, *point.alarm), 0.0) for point in alarmed if point.alarm is not None),
-            *((condition, 0.0) for condition in heartbeat),
+            # A pause of this process comes first, since the rig's watchdog trips because of it.
             (TickGap(rig.abort_after_s + rig.period_s), 0.0),
+            *((condition, 0.0) for condition in heartbeat),
             *((NoGoodValue(point, rig.abort_after_s, point.alarm is not None), rig.abort_after_s) for point in points),
         ]
         self._all = [Interlock("alarm", condition, delay) for condition, delay in all_alarms]

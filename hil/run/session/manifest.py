@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from hil.run.engine import Outcome
 from hil.run.restore import Resumption, RunPosition
 from hil.run.session.request import RunInputs, RunRequest
 from hil.run_folder import FolderLostError, RunFolder
-from hil.tracking import Tracking
+from hil.tracking import Comparison, Tracking
 
 RUN_UID = "run"
 """Name in a journal's metadata of the `uid` in the `run.json` of its run."""
@@ -81,6 +82,8 @@ END_KEYS = (
     "problems",
 )
 """Entries of a manifest on the end of its run, see `end_entries`."""
+TWIN_KEYS = ("errors_K", "bands", "parameters", "parameter_units")
+"""Entries of a manifest on the twins of its run, see `twin_entries`."""
 
 
 def end_entries(
@@ -104,6 +107,14 @@ def end_entries(
         "segments": _segments(folder, manifest, outcome, resumption),
         "problems": outcome.problems,
     }
+
+
+def twin_entries(comparison: Comparison | None) -> dict[str, Any]:
+    """Return the entries of the manifest on the twins: errors, bands and parameters, None without a twin."""
+    if comparison is None:
+        return dict.fromkeys(TWIN_KEYS)
+    values = (asdict(comparison.errors), comparison.bands, comparison.parameters, comparison.units)
+    return dict(zip(TWIN_KEYS, values, strict=True))
 
 
 def _segments(

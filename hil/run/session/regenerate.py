@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.journal import ENDED, JournalError, JournalReader, export_record, recorded_rows
 from hil.run.session.derived_files import RECORD, REVIEW, REVISION, VERDICT, DerivedFiles, derive_files
-from hil.run.session.manifest import END_KEYS, END_OF_RUN, foreign_journal
+from hil.run.session.manifest import END_KEYS, END_OF_RUN, TWIN_KEYS, foreign_journal
 from hil.run_folder import RunFolder, RunFolderError, read_verdict, without_end
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ def completed_manifest(folder: RunFolder, manifest: dict[str, Any]) -> dict[str,
         reader.close()
     if not states or states[-1].target not in ENDED:
         return manifest
-    end = {key: noted[key] for key in END_KEYS if key in noted} if isinstance(noted, dict) else {}
+    end = {key: noted[key] for key in (*END_KEYS, *TWIN_KEYS) if key in noted} if isinstance(noted, dict) else {}
     last = states[-1]
     ended = datetime.datetime.fromtimestamp(last.wall_s, datetime.UTC).isoformat(timespec="seconds")
     return (

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import sqlite3
 from collections.abc import Callable, Coroutine
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from drivers.rig import RigConnection, rig_signals
@@ -29,7 +29,7 @@ from hil.run.engine import (
 from hil.run.locks import RigClaim
 from hil.run.restore import Resumption, clocks_recorded, restore_calibrators
 from hil.run.session.derived_files import REPORT, REVIEW, DerivedFiles, derive_files
-from hil.run.session.manifest import END_OF_RUN, RUN_UID, end_entries
+from hil.run.session.manifest import END_OF_RUN, RUN_UID, end_entries, twin_entries
 from hil.run.session.request import RunInputs, RunRequest
 from hil.run.session.rig_time import rig_and_clock
 from hil.run.session.services import (
@@ -88,7 +88,20 @@ class RunResult:
     @property
     def exit_code(self) -> int:
         """Exit code of the command: 0 where the run was in order and has all its files (see `DerivedFiles`)."""
-        in_order = self.outcome.in_order
+        return self._code(self.outcome.in_order)
+
+    def exit_code_of_test(self, document: dict[str, Any]) -> int:
+        """Return the exit code of a test with the checked `verdict.json`: 0 where every limit passed.
+
+        The run must be in order, or have ended safe by a trip that a limit asks for.
+        """
+        from hil.testing import is_wanted_trip
+
+        outcome = self.outcome
+        tripped = outcome.status == "faulted" and outcome.safe and not outcome.away and is_wanted_trip(document)
+        return self._code(outcome.in_order or tripped) or int(document["verdict"] != "pass")
+
+    def _code(self, in_order: bool) -> int:
         return int(not in_order) if self.derived is None else self.derived.exit_code(in_order)
 
 
@@ -265,6 +278,9 @@ async def _last_results(
     comparison = None if tracking is None else await _unless_interrupted(tracking.finish(), run)
     outcome.problems.extend(tracking.failures if tracking is not None else ())
     wall_s = asyncio.get_running_loop().time() - live.began_s
+    # Nor must a kill in the last diagnosis, which takes minutes, lose the errors of the twins.
+    end = end_entries(run.folder, run.manifest, outcome, run.resumption, wall_s)
+    live.journal.put_meta(END_OF_RUN, end | twin_entries(comparison))
     reply = None
     if live.diagnosis is not None and last is not None:
         run.announce("diagnosing the whole run (Ctrl-C skips it)")
@@ -275,13 +291,9 @@ async def _last_results(
 
 def _result_entries(last: _LastResults) -> dict[str, Any]:
     """Return the entries of `run.json` about the twins and the diagnosis."""
-    comparison, reply = last.comparison, last.reply
-    return {
-        "errors_K": None if comparison is None else asdict(comparison.errors),
-        "bands": None if comparison is None else comparison.bands,
-        "parameters": None if comparison is None else comparison.parameters,
-        "parameter_units": None if comparison is None else comparison.units,
-        "diagnosis": None if reply is None or reply.found is None else reply.found.verdict,
+    reply = last.reply
+    return twin_entries(last.comparison) | {
+        "diagnosis": None if reply is None or reply.found is None else reply.found.verdict
     }
 
 

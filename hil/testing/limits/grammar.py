@@ -5,7 +5,7 @@ statement = quantity bound
           | NAME "settles" "within" TIME "to" AMOUNT [ "of" AMOUNT ]
           | NAME "measured" "within" AMOUNT "of" "set-point" [ "once" "constant" "for" TIME ]
           | ( "rmse" | "bias" | "largest" "error" ) "of" NAME "at" NAME bound
-          | "no" "effect" "found" | "no" "trip"
+          | "no" "effect" "found" | "no" "trip" | "trip" [ "of" NAME ]
 quantity  = NAME
           | ( "mean" | "max" | "min" | "deviation" | "range" ) "of" NAME
           | NUMBER "th" "percentile" "of" NAME
@@ -39,6 +39,7 @@ from hil.testing.limits.statements import (
     Sentence,
     Settles,
     Statement,
+    Trips,
     TwinError,
     While,
     Window,
@@ -205,6 +206,9 @@ class _Parser:
             return NoEffect()
         if self._accept("no", "trip"):
             return NoTrip()
+        if self._peek().lower() == "trip" and self._peek(1).lower() in ("", "of", *_CONDITIONS):
+            self._take()
+            return Trips(self._name() if self._accept("of") else None)
         kinds: tuple[tuple[tuple[str, ...], Literal["rmse", "bias", "largest"]], ...] = (
             (("rmse", "of"), "rmse"),
             (("bias", "of"), "bias"),

@@ -114,7 +114,18 @@ class NoTrip:
     """Run without a trip of an interlock or of the rig."""
 
 
-Statement = Compared | Settles | Follows | TwinError | NoEffect | NoTrip
+@dataclass(frozen=True, slots=True)
+class Trips:
+    """Trip of an interlock or of the rig that the test asks for; `signal` names its cause, None for any.
+
+    `names` are the names of the signals that the reason of the trip may have.
+    """
+
+    signal: str | None = None
+    names: tuple[str, ...] = ()
+
+
+Statement = Compared | Settles | Follows | TwinError | NoEffect | NoTrip | Trips
 
 
 @dataclass(frozen=True, slots=True)
