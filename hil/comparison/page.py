@@ -24,6 +24,7 @@ p.note { color: #5b636b; font-size: .9rem }
 .ERROR { color: #b3261e } .WARN { color: #9a6700 } .PASS { color: #1b6e3c }
 """
     + "\n".join(f".run{k} {{ color: {colour}; font-weight: 600 }}" for k, colour in enumerate(COLOURS))
+    + "\n@media screen and (prefers-color-scheme: dark) { .run0 { color: #d9dee4 } }\n"
 )
 
 
@@ -76,7 +77,7 @@ def _verdicts(matrix: Matrix | None) -> Html:
         return joined([])
     classes = {"pass": "PASS", "fail": "ERROR", "inconclusive": "WARN"}
     rows = [
-        [name, *(element("b", verdict, class_=classes[verdict]) if verdict else "-" for verdict in row)]
+        [matrix.heading(name), *(element("b", verdict, class_=classes[verdict]) if verdict else "-" for verdict in row)]
         for name, row in matrix.rows.items()
     ]
     return joined([element("h2", "Requirements"), table(["requirement", *matrix.runs], rows)])

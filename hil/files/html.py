@@ -32,6 +32,15 @@ tr, img, figure, canvas { break-inside: avoid } h1, h2, h3, tr:first-child { bre
 }
 """
 """Style of every page on paper: no table is cut, no heading stands alone, and parts of class `screen` are left out."""
+DARK = """
+@media screen and (prefers-color-scheme: dark) {
+html { background: #15181c; color-scheme: dark } body { color: #d9dee4 }
+td, th { border-color: #3a4149 } p.note { color: #9aa4ae } a { color: #8ab4f8 }
+.ERROR { color: #ff8a80 } .WARN { color: #f0b429 } .PASS { color: #6fcf97 }
+img { filter: invert(1) hue-rotate(180deg) }
+}
+"""
+"""Style of every page where the reader's system is dark: a picture on white becomes one on black with the same hues."""
 _NAME = re.compile(r"[a-z][a-z0-9-]*")
 _VOID = frozenset(("img", "br", "hr", "meta"))
 _ACTIVE = frozenset(("script", "iframe", "object", "embed", "link", "style", "base", "form", "meta"))
@@ -147,7 +156,7 @@ def document(title: str, style: str, body: Iterable[HtmlPart], script: str = "")
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{_escaped(title)}</title><style>{style}{PRINTED}</style></head><body>"
+        f"<title>{_escaped(title)}</title><style>{style}{DARK}{PRINTED}</style></head><body>"
     )
     end = f"<script>{script}</script>" if script else ""
     return head + "\n".join(_markup(part) for part in body if part) + f"{end}</body></html>\n"

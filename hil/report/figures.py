@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hil.files import Html, element, image, joined
 from hil.journal import Header, JournalSamples
 from hil.report.actuators import pair_actuators
+from hil.report.limit_lines import LimitLine, levels_in_reach, of_columns
 from hil.report.statistics import TimeUnit, good_values, symbol
 from hil.report.zoom import HINT, ZoomCurve, zoom_plot
 
@@ -55,12 +56,13 @@ class _Plot:
     curves: tuple[_Curve, ...]
     height: float = 2.2
     own_legend: bool = True
+    columns: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
 class RunCurves:
     """Data of the figures: samples of a run, `measured` by twin sensor (n,), `twins` by name (n, m), and the first rows
-    after each interruption.
+    after each interruption. `limits` are those of test plans.
     """
 
     header: Header
@@ -69,6 +71,7 @@ class RunCurves:
     twins: Mapping[str, Floats]
     cuts: NDArray[np.int64]
     unit: TimeUnit
+    limits: tuple[LimitLine, ...] = ()
 
 
 def pictures(drawn: RunCurves) -> Html:
@@ -103,7 +106,8 @@ def zoom_plots(drawn: RunCurves) -> Html:
     ]
     for plot in itertools.chain(*groups):
         curves = [ZoomCurve(curve.label, curve.colour, time_s, curve.values) for curve in plot.curves]
-        parts.append(zoom_plot(plot.title, curves, float(time_s[-1]), drawn.unit))
+        limits = of_columns(drawn.limits, plot.columns)
+        parts.append(zoom_plot(plot.title, curves, float(time_s[-1]), drawn.unit, limits))
     return element("div", joined(parts), class_="screen")  # paper has the figures
 
 
@@ -122,7 +126,9 @@ def _against_twin(drawn: RunCurves) -> Iterator[_Plot]:
             for k, (name, outputs) in enumerate(drawn.twins.items())
         ]
         curves.append(_Curve("measured", values, MEASURED, 0.7, above=5))
-        yield _Plot(f"{sensor.removesuffix('_C')} / °C", tuple(curves), 2.6, own_legend=False)
+        yield _Plot(
+            f"{sensor.removesuffix('_C')} / °C", tuple(curves), 2.6, False, frozenset(drawn.header.twin_sensors[sensor])
+        )
 
 
 def _residuals(drawn: RunCurves) -> tuple[tuple[Floats, list[_Plot]], float]:
@@ -156,6 +162,7 @@ def _others(drawn: RunCurves) -> Iterator[_Plot]:
     told = {column for columns in drawn.header.twin_sensors.values() for column in columns} if drawn.measured else set()
     told |= {signal.column for pair in pair_actuators(drawn.header.signals).values() for signal in pair}
     units: dict[str, list[_Curve]] = {}
+    columns = {signal.name: signal.column for signal in drawn.header.signals}
     for k, signal in enumerate(drawn.header.signals):
         if signal.kind == "measured" and signal.column not in told:
             group = units.setdefault(signal.unit, [])
@@ -163,7 +170,8 @@ def _others(drawn: RunCurves) -> Iterator[_Plot]:
     for unit, group in units.items():
         for first in range(0, len(group), _MOST_CURVES):
             curves = tuple(group[first : first + _MOST_CURVES])
-            yield _Plot(symbol(unit), curves, 2.6 if len(curves) > 4 else 2.0)
+            shown = frozenset(columns[curve.label] for curve in curves)
+            yield _Plot(symbol(unit), curves, 2.6 if len(curves) > 4 else 2.0, columns=shown)
 
 
 def _actuators(drawn: RunCurves) -> Iterator[_Plot]:
@@ -175,7 +183,8 @@ def _actuators(drawn: RunCurves) -> Iterator[_Plot]:
         curves = [_Curve("set", values[:, index[pair[0].name]], MEASURED, 1.6, dashed=True)]
         curves += [_Curve("read", values[:, index[read.name]], colour, 0.9, above=3) for read in pair[1:]]
         unit = symbol(pair[0].unit)
-        yield _Plot(f"{stem} / {unit}" if unit else stem, tuple(curves), 1.6)
+        shown = frozenset(signal.column for signal in pair)
+        yield _Plot(f"{stem} / {unit}" if unit else stem, tuple(curves), 1.6, columns=shown)
 
 
 def _picture(heading: str, plots: Any, drawn: RunCurves, time_s: Floats | None = None) -> Html:
@@ -209,6 +218,7 @@ def _picture(heading: str, plots: Any, drawn: RunCurves, time_s: Floats | None =
             axes.axhline(0, color=MEASURED, linewidth=0.6)
         axes.set_ylabel(plot.title)
         axes.grid(alpha=_GRID_ALPHA)
+        _draw_limits(axes, of_columns(drawn.limits, plot.columns), drawn.unit.seconds)
         if plot.own_legend:
             # Outside the axes, so that it covers no curve.
             axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize="small")
@@ -221,6 +231,29 @@ def _picture(heading: str, plots: Any, drawn: RunCurves, time_s: Floats | None =
     _one_time_axis(list(rows))
     _fit(figure, list(rows), above)
     return joined([element("h2", heading), _embedded(figure)])
+
+
+def _draw_limits(axes: Any, lines: Sequence[LimitLine], unit_s: float) -> None:
+    """Draw the lines of limits with their ids, and shade the times of failure; levels far from the curves are named."""
+    if not lines:
+        return
+    low, high = axes.get_ylim()
+    near = list(levels_in_reach(lines, low, high))
+    for line, level in near:
+        begin, end = line.from_s / unit_s, line.to_s / unit_s
+        axes.plot([begin, end], [level, level], ":", color=line.colour, linewidth=1.1, zorder=4)
+        at = {"xy": (end, level), "xytext": (-2, 2), "textcoords": "offset points"}
+        axes.annotate(_short(line.name), **at, ha="right", color=line.colour, fontsize="x-small", zorder=6)
+    for line in lines:
+        for begin, end in line.failed_s:
+            axes.axvspan(begin / unit_s, end / unit_s, color=line.colour, alpha=0.12, linewidth=0, zorder=0)
+    shown = {(line.name, level) for line, level in near}
+    far = [
+        f"{_short(line.name)} {level:g}" for line in lines for level in line.levels if (line.name, level) not in shown
+    ]
+    if far:
+        text = f"beyond this axis: {', '.join(far)}"
+        axes.text(0.005, 0.97, text, transform=axes.transAxes, va="top", color=lines[0].colour, fontsize="x-small")
 
 
 def _short(name: str) -> str:

@@ -15,6 +15,7 @@ from hil.journal import JournalReader, JournalSamples, TwinOutput
 from hil.report.about import label_section, note_section, quality_section
 from hil.report.alarm_table import alarm_section
 from hil.report.figures import RunCurves, pictures, zoom_plots
+from hil.report.limit_lines import limit_lines
 from hil.report.plot_script import SCRIPT
 from hil.report.statistics import (
     NONE,
@@ -70,14 +71,14 @@ def write_report(folder: RunFolder, missing: Mapping[str, str] | None = None) ->
     `missing` are the files that could not be made, with reasons; those of `run.json` by default.
     """
     manifest = folder.read_manifest() | ({} if missing is None else {"missing": dict(missing)})
-    notes = read_notes(folder)
+    notes, judged = read_notes(folder), read_verdict(folder)
     reader = JournalReader(folder.journal)
     try:
         samples = reader.samples()
         wall_s = reader.timing()[:, 1] if notes else np.zeros(0)
         unit = time_unit(float(np.ptp(samples.time_s)) if len(samples.tick) else 0.0)
         body = [
-            verdict_section(read_verdict(folder)),
+            verdict_section(judged),
             _summary(manifest),
             label_section(labels_of(manifest, notes), manifest, read_diagnosis_verdict(folder)),
             note_section(notes, wall_s, samples.time_s if notes else wall_s, unit),
@@ -85,7 +86,7 @@ def write_report(folder: RunFolder, missing: Mapping[str, str] | None = None) ->
             _error_table(manifest),
             _band_table(manifest),
             _parameter_table(manifest),
-            _pictures(reader, samples, unit),
+            _pictures(reader, samples, unit, judged),
             quality_section(reader.header, samples),
             _signals(reader, samples),
             _calibrations(reader),
@@ -211,12 +212,13 @@ def _gates(reader: JournalReader, unit: TimeUnit) -> Html:
     return _part("Parameters accepted by the network's gates", shown, _note(closed_gates(proposals)))
 
 
-def _pictures(reader: JournalReader, samples: JournalSamples, unit: TimeUnit) -> Html:
+def _pictures(reader: JournalReader, samples: JournalSamples, unit: TimeUnit, judged: dict[str, Any]) -> Html:
     cuts = np.searchsorted(samples.tick, [row.tick for row in reader.segments()])
     measured = measured_sensors(reader, samples)
     twins = {name: _at_ticks(reader.twin_outputs(name), samples) for name in reader.header.twin_names}
     twins = {name: values for name, values in twins.items() if np.isfinite(values).any()}
-    drawn = RunCurves(reader.header, samples, measured if twins else {}, twins, cuts, unit)
+    limits = limit_lines(judged, reader.states(), (samples.tick, samples.time_s), reader.header.period_s)
+    drawn = RunCurves(reader.header, samples, measured if twins else {}, twins, cuts, unit, limits)
     return joined([pictures(drawn), zoom_plots(drawn)])
 
 

@@ -55,12 +55,23 @@ SCRIPT = """
     var c = this.canvas, scale = window.devicePixelRatio || 1, w = c.clientWidth, r = range || this.all;
     var g = c.getContext('2d'), lo = Infinity, hi = -Infinity, me = this;
     g.font = FONT;
+    var inks = getComputedStyle(c), ink = inks.color, grid = inks.outlineColor, soft = inks.caretColor;
+    // Colours of the light page that are too dark for a dark one.
+    var shades = { '#30343a': ink, '#5b636b': soft, '#b3261e': inks.borderTopColor };
+    function shade(colour) { return shades[colour] || colour; }
+    var limits = this.d.limits || [];
     // The names stand above the curves, in as many lines as they need.
     var left = 66, line = 1, names = this.d.series.map(function (s) {
       var width = g.measureText(s.name).width;
       if (left > 66 && left + width > w - 10) { left = 66; line += 1; }
       left += width + 14;
       return [s, left - width - 14, 15 * line - 3];
+    });
+    var asked = limits.map(function (l) {
+      var text = l.name + ' ' + l.levels.map(fmt).join(', '), width = g.measureText(text).width;
+      if (left > 66 && left + width > w - 10) { left = 66; line += 1; }
+      left += width + 14;
+      return [text, l.colour, left - width - 14, 15 * line - 3];
     });
     var top = 15 * line + 2, h = 205 + top;
     c.style.height = h + 'px'; c.width = w * scale; c.height = h * scale;
@@ -70,19 +81,35 @@ SCRIPT = """
         if (x >= r[0] && r[1] >= x && s.y[i] !== null) { lo = Math.min(lo, s.y[i]); hi = Math.max(hi, s.y[i]); }
       });
     });
+    // A limit that is farther from the curves than these are apart would make them flat.
+    var reach = hi - lo, low = lo, high = hi;
+    limits.forEach(function (l) {
+      l.levels.forEach(function (v) {
+        if (v >= low - reach && low + 2 * reach >= v) { lo = Math.min(lo, v); hi = Math.max(hi, v); }
+      });
+    });
     if (!(hi > lo)) { var mid = isFinite(lo) ? lo : 0; lo = mid - 1; hi = mid + 1; }
     var pad = (hi - lo) * 0.05; lo -= pad; hi += pad;
     function px(x) { return 60 + (x - r[0]) / (r[1] - r[0]) * (w - 70); }
     function py(y) { return h - 24 - (y - lo) / (hi - lo) * (h - 24 - top); }
-    g.strokeStyle = '#d8dce0'; g.fillStyle = '#5b636b'; g.lineWidth = 1; g.textAlign = 'right';
+    g.strokeStyle = grid; g.fillStyle = soft; g.lineWidth = 1; g.textAlign = 'right';
     ticks(lo, hi, 5).forEach(function (v) {
       g.beginPath(); g.moveTo(60, py(v)); g.lineTo(w - 10, py(v)); g.stroke(); g.fillText(fmt(v), 54, py(v) + 4);
     });
     g.textAlign = 'center';
     ticks(r[0], r[1], 8).forEach(function (v) { g.fillText(fmt(v), px(v), h - 6); });
     g.save(); g.beginPath(); g.rect(60, top - 2, w - 70, h - 22 - top); g.clip();
+    limits.forEach(function (l) {
+      g.fillStyle = g.strokeStyle = shade(l.colour); g.globalAlpha = 0.14; g.beginPath();
+      l.failed.forEach(function (f) { g.rect(px(f[0]), top - 2, Math.max(px(f[1]) - px(f[0]), 1), h - 22 - top); });
+      g.fill(); g.globalAlpha = 1; g.setLineDash([5, 4]); g.lineWidth = 1.2;
+      l.levels.forEach(function (v) {
+        g.beginPath(); g.moveTo(px(l.x[0]), py(v)); g.lineTo(px(l.x[1]), py(v)); g.stroke();
+      });
+      g.setLineDash([]);
+    });
     this.d.series.forEach(function (s) {
-      g.strokeStyle = s.colour; g.lineWidth = 1.3; g.beginPath();
+      g.strokeStyle = shade(s.colour); g.lineWidth = 1.3; g.beginPath();
       var pen = false;
       s.x.forEach(function (x, i) {
         if (s.y[i] === null) { pen = false; return; }
@@ -91,7 +118,7 @@ SCRIPT = """
       g.stroke();
     });
     if (this.cursor !== null) {
-      g.strokeStyle = '#30343a'; g.lineWidth = 0.6; g.beginPath();
+      g.strokeStyle = ink; g.lineWidth = 0.6; g.beginPath();
       g.moveTo(px(this.cursor), 0); g.lineTo(px(this.cursor), h); g.stroke();
     }
     if (this.drag) {
@@ -100,7 +127,8 @@ SCRIPT = """
     }
     g.restore();
     g.textAlign = 'left';
-    names.forEach(function (n) { g.fillStyle = n[0].colour; g.fillText(n[0].name, n[1], n[2]); });
+    names.forEach(function (n) { g.fillStyle = shade(n[0].colour); g.fillText(n[0].name, n[1], n[2]); });
+    asked.forEach(function (n) { g.fillStyle = shade(n[1]); g.fillText(n[0], n[2], n[3]); });
     var read = this.d.series.map(function (s) {
       var best = null, near = Infinity;
       s.x.forEach(function (x, i) {
@@ -114,6 +142,7 @@ SCRIPT = """
   function redraw() { plots.forEach(function (p) { p.draw(); }); }
   document.querySelectorAll('script.plot').forEach(function (block) { plots.push(new Plot(block)); });
   window.addEventListener('resize', redraw);
+  window.matchMedia('(prefers-color-scheme: dark)').addEventListener('change', redraw);
   redraw();
 })();
 """

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.files import Html, element, joined, plot_data
+from hil.report.limit_lines import LimitLine
 from hil.report.statistics import TimeUnit
 
 MOST_POINTS = 4000
 """Most points of a curve: a plot shows the least and the greatest value of each piece of it."""
 PLOT_STYLE = """
 canvas { width: 100%; height: 220px; touch-action: pan-y; cursor: crosshair }
+.plotbox canvas { color: #30343a; outline-color: #d8dce0; caret-color: #5b636b; border-top-color: #b3261e }
+@media screen and (prefers-color-scheme: dark) {
+.plotbox canvas { color: #d9dee4; outline-color: #3a4149; caret-color: #9aa4ae; border-top-color: #ff8a80 }
+}
 h3 { font-size: 1rem; margin-bottom: .2rem } .plotbox p { min-height: 1.3em; margin: .2rem 0 }
 """
 """Style of the plots, beside that of their page."""
@@ -32,17 +38,38 @@ class ZoomCurve:
     values: NDArray[np.float64]
 
 
-def zoom_plot(title: str, curves: Sequence[ZoomCurve], end_s: float, unit: TimeUnit = SECONDS) -> Html:
+def zoom_plot(
+    title: str,
+    curves: Sequence[ZoomCurve],
+    end_s: float,
+    unit: TimeUnit = SECONDS,
+    limits: Sequence[LimitLine] = (),
+) -> Html:
     """Return a heading and a plot of curves over 0 to `end_s` s; the page needs `SCRIPT` and `PLOT_STYLE`.
 
-    Axis and readings of the time are in `unit`.
+    Axis and readings of the time are in `unit`. `limits` are lines across the curves.
     """
     series = []
     for curve in curves:
         time_s, values = thinned(curve.time_s, curve.values)
         y = [float(f"{value:.6g}") if np.isfinite(value) else None for value in values.tolist()]
         series.append({"name": curve.name, "colour": curve.colour, "x": (time_s / unit.seconds).tolist(), "y": y})
-    data = {"title": title, "unit": unit.symbol, "range": [0.0, max(end_s / unit.seconds, 1e-9)], "series": series}
+    data: dict[str, Any] = {
+        "title": title,
+        "unit": unit.symbol,
+        "range": [0.0, max(end_s / unit.seconds, 1e-9)],
+        "series": series,
+    }
+    data["limits"] = [
+        {
+            "name": line.name,
+            "colour": line.colour,
+            "levels": line.levels,
+            "x": [line.from_s / unit.seconds, line.to_s / unit.seconds],
+            "failed": [[begin / unit.seconds, end / unit.seconds] for begin, end in line.failed_s],
+        }
+        for line in limits
+    ]
     return joined([element("h3", title), plot_data(data)])
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
@@ -18,7 +18,20 @@ from hil.run_folder.folder import RunFolder, RunFolderError
 from hil.run_folder.manifest_check import DocumentShape, wrong_place
 
 _Word = Literal["pass", "fail", "inconclusive"]
+_Number = Annotated[float, Field(allow_inf_nan=False)]
 _ORDER: tuple[_Word, ...] = ("pass", "inconclusive", "fail")
+
+
+class _Line(DocumentShape):
+    columns: list[str]
+    levels: list[_Number]
+    from_s: _Number
+    to_s: _Number
+
+
+class _Span(DocumentShape):
+    from_s: _Number
+    to_s: _Number
 
 
 class _LimitResult(DocumentShape):
@@ -32,6 +45,8 @@ class _LimitResult(DocumentShape):
     unit: str
     at_s: float | None
     text: str
+    line: _Line | None = None
+    failed_s: list[_Span] = Field(default_factory=list)
 
 
 class _EarlierVerdict(DocumentShape):

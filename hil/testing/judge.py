@@ -11,18 +11,22 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.testing.bound_limits import BoundLimit
 from hil.testing.limits import TIMES_S, Bound, Compared, Follows, NoEffect, NoTrip, Settles, Trips, TwinError
+from hil.testing.lines import line_of
 from hil.testing.plan import Limit
 from hil.testing.run_data import Floats, RunData, Trip, carried_on, longest_piece, root_mean_square, ticks_within
 from hil.testing.settling import judge_settling
 from hil.testing.verdicts import Finding, Verdict, shown, worst
 
 Bools = NDArray[np.bool_]
+_MOST_SPANS = 50
+"""Most times of failure that a result names: a plot shows no more."""
 _SAME_S = 1e-6
 """Time by which two times may differ and still be the same, s."""
 
@@ -32,7 +36,8 @@ class Judgement:
     """Verdict on one limit.
 
     `value` is the measured quantity in `unit`, None where none was found, `at_s` the profile time of the worst value,
-    s, `text` a sentence with both.
+    s, `text` a sentence with both. `line` has columns, levels and times of the limit in plots (see `line_of`), None
+    without a level; `failed_s` are begins and ends of the times at which it was broken, s of profile time.
     """
 
     limit: Limit
@@ -42,12 +47,14 @@ class Judgement:
     unit: str = ""
     at_s: float | None = None
     column: str = ""
+    line: dict[str, Any] | None = None
+    failed_s: tuple[tuple[float, float], ...] = ()
 
 
 def judge(bound: BoundLimit, data: RunData) -> Judgement:
     """Return the judgement of a limit on a run; that of a limit of several columns is the worst of theirs."""
     with np.errstate(over="ignore", invalid="ignore"):  # `_said` takes care of values without a number
-        return _judged(bound, data)
+        return replace(_judged(bound, data), line=line_of(bound))
 
 
 def _judged(bound: BoundLimit, data: RunData) -> Judgement:
@@ -79,7 +86,7 @@ def _said(bound: BoundLimit, found: Finding) -> Judgement:
         if found.verdict == "fail":
             return Judgement(bound.limit, "fail", found.text, None, unit)
         return Judgement(bound.limit, "inconclusive", f"a value is too large to be judged: {found.text}", None, unit)
-    return Judgement(bound.limit, found.verdict, found.text, found.value, unit, found.at_s)
+    return Judgement(bound.limit, found.verdict, found.text, found.value, unit, found.at_s, failed_s=found.failed_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,10 +265,21 @@ def _values(times: _Times, bound: Bound, unit: str) -> Finding:
         text = (
             f"{shown(value, unit)} at {at_s:g} s, the limit is {bound}; beyond it for {for_s:g} s from {first_s:g} s on"
         )
-        return Finding("fail", text, value, at_s=at_s, margin=margin)
+        spans = _spans(times.time_s[wrong], times.period_s)
+        return Finding("fail", text, value, at_s=at_s, margin=margin, failed_s=spans)
     if times.is_missing:
         return times.missing(value)
     return Finding("pass", f"at worst {shown(value, unit)} at {at_s:g} s", value, at_s=at_s, margin=margin)
+
+
+def _spans(time_s: Floats, period_s: float) -> tuple[tuple[float, float], ...]:
+    """Return begins and ends, s, of the pieces of ticks at `time_s` (n,), at least one; at most `_MOST_SPANS`."""
+    gaps = np.flatnonzero(np.diff(time_s) > 1.5 * period_s)
+    if len(gaps) >= _MOST_SPANS:  # the shortest gaps are closed
+        longest = np.argsort(-np.diff(time_s)[gaps], kind="stable")[: _MOST_SPANS - 1]
+        gaps = gaps[np.sort(longest)]
+    begins, ends = time_s[np.concatenate([[0], gaps + 1])], time_s[np.concatenate([gaps, [len(time_s) - 1]])]
+    return tuple(zip(begins.tolist(), ends.tolist(), strict=True))
 
 
 def _statistic(times: _Times, said: Compared, unit: str) -> Finding:

@@ -53,6 +53,8 @@ class TestResult:
                     "at_s": judgement.at_s,
                     "column": judgement.column,
                     "text": judgement.text,
+                    "line": judgement.line,
+                    "failed_s": [{"from_s": begin, "to_s": end} for begin, end in judgement.failed_s],
                 }
                 for judgement in self.judgements
             ],

@@ -13,7 +13,10 @@ ORDER: tuple[Verdict, ...] = ("pass", "inconclusive", "fail")
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Verdict on one column of a limit, with the measured `value`; `margin` is its distance to the limit."""
+    """Verdict on one column of a limit, with the measured `value`; `margin` is its distance to the limit.
+
+    `failed_s` are begins and ends of the times at which the limit was broken, s of profile time.
+    """
 
     verdict: Verdict
     text: str
@@ -21,6 +24,7 @@ class Finding:
     unit: str = ""
     at_s: float | None = None
     margin: float = 0.0
+    failed_s: tuple[tuple[float, float], ...] = ()
 
 
 def worst(found: Sequence[tuple[Finding, str]]) -> tuple[Finding, str]:

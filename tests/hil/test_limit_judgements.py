@@ -195,7 +195,9 @@ def test_who_tripped_a_run_is_read_from_its_transitions():
     begun = StateRow(0, 0, 0.0, 0.0, 0.0, "restoring", "start", "running", "")
     rows = [
         replace(begun, id=1, source="running", event="trip", profile_s=90.0, reason=BY_TEST.reason),
-        replace(begun, id=2, source="running", event="trip", profile_s=92.0, reason=f"tripped: {NO_TICK} 9.0 s, at most"),
+        replace(
+            begun, id=2, source="running", event="trip", profile_s=92.0, reason=f"tripped: {NO_TICK} 9.0 s, at most"
+        ),
         replace(begun, id=3, source="running", event="fault", profile_s=95.0, reason=BY_BENCH.reason),
         replace(begun, id=4, source="running", event="fail", profile_s=210.0, reason=BY_TANK.reason),
         replace(begun, id=5, source="finishing", event="fail", profile_s=210.0, reason=BY_TANK.reason),
@@ -229,3 +231,17 @@ def test_who_tripped_a_run_is_read_from_its_transitions():
 def test_a_trip_is_judged_by_its_cause_and_its_time(tmp_path, sentence, trips, end_s, verdict):
     run = replace(made_run(end_s), trips=trips)
     assert judged(tmp_path, sentence, run).verdict == verdict
+
+
+def test_a_result_has_the_levels_of_its_limit_and_the_times_of_its_failure(tmp_path):
+    tank = np.where((WHOLE % 100 >= 20) & (WHOLE % 100 < 30), 50.0, 30.0)
+    found = judged(tmp_path, "T_tank between 0.01 and 40 degC", made_run(T_tank_C=tank))
+    assert found.line == {"columns": ["T_tank_C"], "levels": [0.01, 40.0], "from_s": 0.0, "to_s": 400.0}
+    assert found.failed_s == ((20.0, 29.0), (120.0, 129.0), (220.0, 229.0), (320.0, 329.0))
+    assert judged(tmp_path, "heater_power < 0.5 kW after 5 s").line["levels"] == [500.0]
+    settles = judged(tmp_path, "heater_power settles within 9 s to 10 % of 200 W")
+    assert settles.line["levels"] == [180.0, 220.0] and settles.failed_s == ()
+    assert judged(tmp_path, "time of T_tank_C above 35 < 3 min").line["levels"] == [35.0]
+    assert judged(tmp_path, "ramp of T_tank_C < 12 K/min").line is judged(tmp_path, "no trip").line is None
+    often = judged(tmp_path, "T_tank_C < 40", made_run(T_tank_C=np.where(WHOLE % 3 == 0, 50.0, 30.0)))
+    assert len(often.failed_s) == 50 and often.failed_s[-1][1] == 399.0

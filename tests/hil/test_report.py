@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +12,11 @@ import pytest
 from drivers.rig_file import file_sha256
 from drivers.signals.points import Quality, Signal
 from hil import __version__
-from hil.journal.rows import JournalSamples
+from hil.journal.rows import JournalSamples, StateRow
 from hil.journal.writer import Header, JournalWriter
 from hil.report.actuators import pair_actuators
 from hil.report.figures import MEASURED, RunCurves, pictures
+from hil.report.limit_lines import LimitLine, limit_lines
 from hil.report.page import write_report
 from hil.report.statistics import NONE, number, set_against_read, signal_statistics, time_unit
 from hil.run.engine.status import Outcome
@@ -268,3 +270,33 @@ def test_a_curve_is_broken_where_the_run_was_cut(monkeypatch):
     assert at[0] == 150
     assert np.isfinite(line.get_ydata()[[149, 151]]).all()
     assert line.get_xdata()[at[0] + 1] == 150.0 / time_unit(300).seconds
+
+
+LINE = {"columns": ["T_tank_C"], "levels": [60.0], "from_s": 10.0, "to_s": 20.0}
+LIMITS = [{"id": "hot", "verdict": "fail", "line": LINE}, {"id": "old", "verdict": "pass"}]
+FAILED = {"tests": [{"id": "p", "limits": LIMITS}]}
+
+
+def test_the_time_of_a_limit_is_that_of_the_record_where_the_profile_stood():
+    def row(tick: int, profile_s: float, target: str) -> StateRow:
+        return StateRow(tick, tick, float(tick), 0.0, profile_s, "", "", target, "")
+
+    ticks = np.arange(100), np.arange(100.0)
+    held = [row(0, 0.0, "running"), row(15, 15.0, "held"), row(45, 15.0, "running")]
+    (line,) = limit_lines(FAILED, held, ticks, 1.0)
+    assert (line.name, line.from_s, line.to_s, line.is_broken) == ("hot", 10.0, 50.0, True)
+    assert limit_lines(FAILED, held, (np.arange(0), np.zeros(0)), 1.0) == ()
+    two = {"tests": [*FAILED["tests"], {"id": "q", "limits": []}]}
+    (line,) = limit_lines(two, [], ticks, 1.0)
+    assert (line.name, line.to_s) == ("p/hot", 20.0)
+
+
+def test_a_level_far_from_the_curves_is_named_and_does_not_flatten_them(monkeypatch):
+    figures: list[Any] = []
+    monkeypatch.setattr("hil.report.figures._embedded", lambda figure: figures.append(figure) or "")
+    line = LimitLine("hot", frozenset({"T_tank_C"}), (1000.0,), 0.0, 300.0, True, ((5.0, 9.0),))
+    pictures(curves(limits=(line, replace(line, name="near", levels=(20.0,), is_broken=False))))
+    axes = figures[0].axes[0]
+    assert axes.get_ylim()[1] < 500.0
+    assert {text.get_text() for text in axes.texts} == {"near", "beyond this axis: hot 1000"}
+    assert not any(axes.texts for axes in figures[-1].axes)

@@ -29,6 +29,10 @@ td.n, th.n { text-align: right; font-variant-numeric: tabular-nums } tr.far td {
 td { overflow-wrap: anywhere } th { color: #5b636b; font-weight: 600 }
 p.note { color: #5b636b; font-size: .9rem; margin: .2rem 0 .4rem } p.warn { color: #8a5a00; font-weight: 600 }
 nav { font-size: .9rem; margin: .6rem 0 } nav a { color: #0072B2; margin-right: 1rem }
+@media screen and (prefers-color-scheme: dark) {
+h1, .cards span, .cards i, th { color: #9aa4ae } .verdict { background: #1e242b } .cards div { border-color: #3a4149 }
+p.warn { color: #f0b429 } nav a { color: #8ab4f8 }
+}
 @media print { h2 { break-after: avoid } img { break-inside: avoid } nav { display: none } }
 """
 _FAR_SD = 3.0

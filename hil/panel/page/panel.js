@@ -1,7 +1,7 @@
 "use strict";
 /* The page of a run. Text of a run, a rig file or a person enters the document through `el` alone, as text. */
 
-const COLORS = ["#d9730d", "#1f5fa8", "#7b3fa0", "#0f8a7a", "#b0265f", "#5b7f13", "#8a5a2b", "#2b9fd0", "#c9a000", "#20262c"];
+const COLORS = Array.from({ length: 10 }, (_, k) => `--curve${k}`); /* variables of panel.css, light or dark */
 const MOST_CURVES = 8; /* of one plot: fewer than there are colours */
 const MOST_NAMED = 3; /* names in a title: the legend has them all */
 const STALE_MS = 4000, RETRY_MS = 5000;
@@ -180,7 +180,7 @@ function makePlots(document_) {
   };
   for (const sensor of document_.sensors) {
     add(sensor.replace(/_C$/, ""), "°C", [
-      { name: `${sensor} measured`, label: "measured", color: "#7c8791", band: "rgb(124 135 145 / 25%)", width: 2 },
+      { name: `${sensor} measured`, label: "measured", color: "--measured", band: "--band", width: 2 },
       ...document_.twins.map((twin, k) => ({ name: `${sensor} ${twin}`, label: twin, color: COLORS[k % COLORS.length], sparse: true, width: k ? 1.6 : 3.2 })),
     ]);
   }
@@ -224,7 +224,7 @@ function drawAll() {
     };
     const items = plot.curves.map((curve) => {
       const swatch = el("i", {});
-      swatch.style.background = curve.color;
+      swatch.style.background = `var(${curve.color})`;
       return el("span", {}, swatch, `${curve.label} ${format(value(curve))}`);
     });
     plot.legend.replaceChildren(...items);
@@ -402,6 +402,7 @@ put("span", ...SPANS.map(([label, seconds]) => el("button", {
   },
 }, label)));
 window.addEventListener("resize", drawAll);
+window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
 setInterval(showLink, 500);
 setInterval(() => listRuns(run === null), 30000);
 listRuns(true);

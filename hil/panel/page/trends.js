@@ -19,6 +19,7 @@ class Course {
     this.binS = document_.bin_s;
     this.periodS = periodS;
     this.stateS = STATE_S;
+    this.newestS = -Infinity;
     this.time = document_.time_s.slice();
     this.count = this.time.map(() => 1);
     this.series = new Map();
@@ -30,7 +31,9 @@ class Course {
   add(timeS, values) {
     const last = this.time.length - 1;
     const merges = last >= 0 && Math.floor(timeS / this.binS) === Math.floor(this.time[last] / this.binS);
-    if (last >= 0 && timeS < this.time[last] - this.binS) return;
+    /* The state of a run that has ended is sent again and again: it is one point. */
+    if (timeS <= this.newestS || (last >= 0 && timeS < this.time[last] - this.binS)) return;
+    this.newestS = timeS;
     if (!merges) {
       this.time.push(timeS);
       this.count.push(0);
@@ -106,7 +109,8 @@ function drawCourse(canvas, course, curves, fromS, atS) {
       if (cells.high[k] !== null && cells.high[k] > high) high = cells.high[k];
     }
   }
-  if (low > high) { pen.fillStyle = "#5b656f"; pen.fillText("no good value yet", 8, 20); return; }
+  const inks = getComputedStyle(document.documentElement), ink = (name) => (name.startsWith("--") ? inks.getPropertyValue(name).trim() : name);
+  if (low > high) { pen.fillStyle = ink("--soft"); pen.fillText("no good value yet", 8, 20); return; }
   const pad = Math.max((high - low) * 0.06, Math.abs(high) * 1e-3, 0.05);
   low -= pad; high += pad;
   const t0 = Math.max(fromS, course.time[first]), t1 = Math.max(course.time[course.time.length - 1], t0 + 1);
@@ -118,7 +122,7 @@ function drawCourse(canvas, course, curves, fromS, atS) {
   const right = width - 6, top = 6, bottom = height - 20;
   const x = (t) => left + ((t - t0) / (t1 - t0)) * (right - left);
   const y = (v) => bottom - ((v - low) / (high - low)) * (bottom - top);
-  pen.lineWidth = 1; pen.strokeStyle = "#e4e8ec"; pen.fillStyle = "#5b656f"; pen.textBaseline = "middle"; pen.textAlign = "right";
+  pen.lineWidth = 1; pen.strokeStyle = ink("--rail"); pen.fillStyle = ink("--soft"); pen.textBaseline = "middle"; pen.textAlign = "right";
   for (const [v, text] of labels) {
     pen.beginPath(); pen.moveTo(left, Math.round(y(v)) + 0.5); pen.lineTo(right, Math.round(y(v)) + 0.5); pen.stroke();
     pen.fillText(text, left - 5, y(v));
@@ -134,7 +138,7 @@ function drawCourse(canvas, course, curves, fromS, atS) {
     const cells = course.series.get(curve.name);
     if (!cells) continue;
     if (curve.band) {
-      pen.fillStyle = curve.band;
+      pen.fillStyle = ink(curve.band);
       for (let k = first; k < course.time.length; k++) {
         if (cells.low[k] === null || k + 1 >= course.time.length) continue;
         const size = Math.max(1, y(cells.low[k]) - y(cells.high[k]));
@@ -142,7 +146,7 @@ function drawCourse(canvas, course, curves, fromS, atS) {
         if (size > 1.5) pen.fillRect(x(course.time[k]), y(cells.high[k]), Math.max(1, x(until) - x(course.time[k])), size);
       }
     }
-    pen.strokeStyle = curve.color; pen.lineWidth = curve.width || 1.6; pen.setLineDash(curve.dash || []);
+    pen.strokeStyle = ink(curve.color); pen.lineWidth = curve.width || 1.6; pen.setLineDash(curve.dash || []);
     pen.beginPath();
     let drawn = false, before = null;
     for (let k = first; k < course.time.length; k++) {
@@ -155,7 +159,7 @@ function drawCourse(canvas, course, curves, fromS, atS) {
     pen.stroke(); pen.setLineDash([]);
   }
   if (atS !== null && atS >= t0 && atS <= t1) {
-    pen.strokeStyle = "#8b96a1"; pen.lineWidth = 1; pen.beginPath(); pen.moveTo(x(atS), top); pen.lineTo(x(atS), bottom); pen.stroke();
+    pen.strokeStyle = ink("--cursor"); pen.lineWidth = 1; pen.beginPath(); pen.moveTo(x(atS), top); pen.lineTo(x(atS), bottom); pen.stroke();
   }
   pen.restore();
   canvas.axis = { left, right, t0, t1 };

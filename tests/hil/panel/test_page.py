@@ -235,3 +235,46 @@ def test_a_page_of_another_origin_reads_nothing_and_steers_nothing(visit, panel,
 class _Quiet(http.server.SimpleHTTPRequestHandler):
     def log_message(self, format: str, *arguments: object) -> None:
         pass
+
+
+CONTRAST = """() => {
+  const part = (text) => text.match(/[\\d.]+/g).slice(0, 3).map((c) => c / 255)
+    .map((c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4));
+  const bright = (text) => { const [r, g, b] = part(text); return 0.2126 * r + 0.7152 * g + 0.0722 * b; };
+  const backOf = (node) => {
+    for (; node; node = node.parentElement) {
+      const back = getComputedStyle(node).backgroundColor;
+      if (!back.endsWith(", 0)")) return back;
+    }
+    return "rgb(255, 255, 255)";
+  };
+  const found = [];
+  for (const node of document.querySelectorAll("main *, header *")) {
+    const own = [...node.childNodes].some((one) => one.nodeType === 3 && one.data.trim());
+    if (!own || node.disabled || !node.checkVisibility()) continue;
+    const [a, b] = [bright(getComputedStyle(node).color), bright(backOf(node))].sort((x, y) => y - x);
+    const ratio = (a + 0.05) / (b + 0.05);
+    if (ratio < 4.5) found.push(`${node.className} ${node.textContent.slice(0, 30)} ${ratio.toFixed(2)}`);
+  }
+  return found;
+}"""
+"""Texts whose contrast is below 4.5, that of WCAG 2.2 for small text."""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_text_is_readable_in_the_light_and_in_the_dark(visit, scheme):
+    def look(page: Any) -> None:
+        page.emulate_media(color_scheme=scheme)
+        is_dark = page.evaluate("getComputedStyle(document.documentElement).backgroundColor") == "rgb(18, 22, 26)"
+        assert is_dark == (scheme == "dark")
+        assert page.evaluate(CONTRAST) == []
+
+    visit(look)
+
+
+def test_a_state_that_is_sent_again_is_one_point_of_a_course(visit):
+    again = """() => { const cells = () => ({ mean: [1], low: [1], high: [1] });
+      const course = new Course({ bin_s: 10, time_s: [5], series: { x: cells() } }, 1);
+      for (let k = 0; k < 9; k++) course.add(9, { x: 3 });
+      return course.series.get("x").mean; }"""
+    visit(lambda page: page.evaluate(again) == [2.0] or pytest.fail("the point was counted again"))
