@@ -16,6 +16,8 @@ from pydantic import ValidationError
 from drivers.rig_file import (
     LONGEST_NAME,
     MOST_DESCRIPTION,
+    QUALITY_SUFFIX,
+    RESERVED_COLUMNS,
     Layout,
     Point,
     decoded,
@@ -168,6 +170,10 @@ def placeholder_in(text: str) -> str | None:
     return None if found is None else found[0]
 
 
+_RESERVED = frozenset(column.removesuffix("_s") for column in RESERVED_COLUMNS)
+"""Names whose columns records have of their own, in the unit s or without one."""
+
+
 class Collector:
     """Points of an import, taken in one by one; a point that no rig file can hold is left out with a note.
 
@@ -206,13 +212,18 @@ class Collector:
         return ImportFileError(self.path, first.line, f"{first.what}{rest}; there is nothing to import")
 
     def name(self, wanted: str) -> str:
-        """Return a valid, unused name of a rig file's point, made of its name in the source."""
+        """Return a valid, unused name of a rig file's point, made of its name in the source.
+
+        Capital letters distinguish no columns, and no column may be one that records have of their own.
+        """
         stem = re.sub(r"[^A-Za-z0-9_]+", "_", in_ascii(wanted)).strip("_") or "point"
         if not stem[0].isalpha():
             stem = f"p_{stem}"
         stem = stem[: LONGEST_NAME - len("_9999")].rstrip("_")  # with room for the number of an equal name
-        count = self._names.get(stem, 0) + 1
-        self._names[stem] = count
+        if stem.lower() in _RESERVED or stem.lower().endswith(QUALITY_SUFFIX):
+            stem = f"{stem}_value"
+        count = self._names.get(stem.lower(), 0) + 1
+        self._names[stem.lower()] = count
         if count == 1:
             return stem
         return self.name(f"{stem}_{count}")

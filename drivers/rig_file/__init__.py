@@ -17,7 +17,7 @@ from drivers.rig_file.bus_sections import (
     is_rtu,
 )
 from drivers.rig_file.can_ids import IdMatch, Senders, by_id, by_j1939, pgn_of
-from drivers.rig_file.checks import Layout, cross_checks, unwritable
+from drivers.rig_file.checks import QUALITY_SUFFIX, RESERVED_COLUMNS, Layout, cross_checks, unwritable
 from drivers.rig_file.host_address import addresses, is_own
 from drivers.rig_file.interlock_specs import (
     AlarmSpec,
@@ -49,6 +49,8 @@ from drivers.rig_file.wires import device_of_bus, serial_device, wire_of_bus
 __all__ = [
     "LONGEST_NAME",
     "MOST_DESCRIPTION",
+    "QUALITY_SUFFIX",
+    "RESERVED_COLUMNS",
     "AlarmSpec",
     "AnyBus",
     "CanBus",

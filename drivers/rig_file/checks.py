@@ -8,7 +8,14 @@ from drivers.rig_file.bus_sections import CanBus, ModbusBusSection
 from drivers.rig_file.interlock_specs import HeaterPowerSpec
 from drivers.rig_file.model import Point, Rig
 from drivers.rig_file.wires import device_of_bus, wire_of_bus
-from drivers.signals import CodecError, encode
+from drivers.signals import CodecError, column_name, encode
+
+RESERVED_COLUMNS = frozenset(
+    ("tick", "time_s", "wall_s", "latency_s", "quality", "source_time_s", "profile_s", "segment")
+)
+"""Columns that journals and records have besides those of the points."""
+QUALITY_SUFFIX = "_quality"
+"""End of the name of a column of qualities."""
 
 
 def cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
@@ -73,7 +80,31 @@ def cross_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
             elif key in ("point", "arm") and rig.get(named).access == "r":
                 why = f"heartbeat: {named} is written to as {key}; give it access 'rw' or name another"
                 found.append((("heartbeat", key), why))
-    return found + _watchdog_checks(rig) + _interlock_checks(rig) + _alarm_checks(rig)
+    return found + _column_checks(rig) + _watchdog_checks(rig) + _interlock_checks(rig) + _alarm_checks(rig)
+
+
+def _column_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:
+    """Return points whose columns in journals, records and exports would be those of something else.
+
+    Databases do not distinguish capital letters in the names of columns.
+    """
+    found: list[tuple[tuple[Any, ...], str]] = []
+    first: dict[str, Point] = {}
+    columns = {column_name(point.name, point.unit).lower() for point in rig.point}
+    for index, point in enumerate(rig.point):
+        column = column_name(point.name, point.unit)
+        key, rated = column.lower(), column.lower().removesuffix(QUALITY_SUFFIX)
+        owner = first.setdefault(key, point)
+        why = ""
+        if key in RESERVED_COLUMNS:
+            why = f"records have a column {key!r} of their own"
+        elif owner.name != point.name:
+            why = f"its column {column!r} is also that of {owner.name}"
+        elif rated != key and rated in columns:
+            why = f"its column {column!r} is that of the quality of {first[rated].name if rated in first else rated}"
+        if why:
+            found.append((("point", index, "name"), f"{point.name}: {why}; rename the point"))
+    return found
 
 
 def _watchdog_checks(rig: Rig) -> list[tuple[tuple[Any, ...], str]]:

@@ -396,3 +396,14 @@ def test_an_address_that_looks_like_a_modicon_number_is_noted_once_a_table(tmp_p
     assert [note.split(";")[0] for note in notes] == [
         "line 2: a: address 40011 in table holding looks like a Modicon number"
     ]
+
+
+def test_no_point_of_an_import_has_a_column_of_another_or_of_a_record(tmp_path):
+    points = (("Time", "s"), ("Quality", "1"), ("T a", "°C"), ("t_A", "°C"), ("T a quality", "1"))
+    rows = [f"{name},input,{address},uint16,{unit}" for address, (name, unit) in enumerate(points)]
+    source, out = table(tmp_path, "\n".join(["name,table,address,type,unit", *rows, ""])), tmp_path / "rig.toml"
+    asked = ["--from", str(source), "--addressing", "zero", "--host", "10.0.0.5", "--out", str(out)]
+    done = CliRunner().invoke(init, asked)
+    assert done.exit_code == 0, (done.output, done.exception)
+    names = [point.name for point in load_rig(out).point]
+    assert names == ["Time_value", "Quality_value", "T_a", "t_A_2", "T_a_quality_value"]

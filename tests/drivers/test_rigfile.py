@@ -53,6 +53,13 @@ def test_wrong_word_order_names_line_point_and_choices(tmp_path):
         ('unit = "W"\n', 'unit = "Watts"\n', ["'Watts' is not known; did you mean W?"]),
         ("address = 1\n", "address = 0\n", ["pump_speed_set: holding register 0 is heater_power_set's already"]),
         ('name = "flow"', 'name = "pump_speed"', ["a second point is called 'pump_speed'"]),
+        ('name = "T_pm2"', 'name = "t_PM1"', ["t_PM1: its column 't_PM1_C' is also that of T_pm1; rename the point"]),
+        ('name = "cycle_counter"', 'name = "Segment"', ["Segment: records have a column 'segment' of their own"]),
+        (
+            'name = "cycle_counter"',
+            'name = "plc_status_quality"',
+            ["its column 'plc_status_quality' is that of the quality of plc_status"],
+        ),
         ("limits = [0.0, 1000.0]", "limits = [1000.0, 0.0]", ["lower bound 1000 must be below"]),
         ("safe_value = 0.0\n", "", ["heater_power_set", "without safe_value"]),
         ("safe_value = 0.0\n", "safe_value = 1500.0\n", ["safe_value 1500 is outside limits"]),
