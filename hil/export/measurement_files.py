@@ -30,7 +30,7 @@ def write_mf4(content: RunContent, file: BinaryIO) -> None:
     asammdf = required_library("asammdf", "an export as MF4")
     made = asammdf.MDF(version="4.10")
     try:
-        if content.started is not None:
+        if content.started is not None and content.started.timestamp() >= 0.0:  # MDF counts from 1970
             made.header.start_time = content.started
         made.header.comment = _described(content)
         signals = [_mf4_signal(asammdf, channel, content.time_s) for channel in content.channels]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -37,8 +39,12 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises
     ------
     OSError
-        The file cannot be written or moved.
+        The file cannot be written or moved, or `path` is a device, pipe or socket.
     """
+    with contextlib.suppress(FileNotFoundError):
+        mode = path.lstat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISLNK(mode) or stat.S_ISDIR(mode)):
+            raise OSError(errno.EINVAL, "it is a device, pipe or socket, which a file would take the place of")
     ending = f".{os.getpid()}.part"
     # A name as long as the file system allows has no room for the ending.
     kept = os.fsencode(path.name)[: LONGEST_NAME - len(ending) - 1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -46,10 +47,16 @@ def require_output(path: Path, failure: Failure, sources: Iterable[Path] = ()) -
     Raises
     ------
     failure
-        It is a folder, it has none or one that cannot be written, or it is a file of a run or a source; one sentence.
+        It is a folder or a device, it has no folder or one that cannot be written, or it is a file of a run or a
+        source; one sentence.
     """
     if path.is_dir():
         raise failure(f"{path} is a folder; name a file")
+    if path.name == "-":
+        raise failure(f"{path} would be a file of that name, and no standard output; name a file")
+    is_stream = path.is_symlink() and os.fspath(path.readlink()).startswith("/proc/")  # /dev/stdout
+    if is_stream or (path.exists() and not path.is_file()):
+        raise failure(f"{path} is a device, pipe or socket, which a file would take the place of; name a file")
     if not path.parent.is_dir():
         raise failure(f"{path.parent} is no folder that is there; make it, or choose another place")
     require_writable(path.parent, failure)

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from hil.cli.verbs import group
 from hil.errors import explained
+from hil.files import replacing
 from hil.run_folder import RunFolderError, require_output
 from tests.docs.fences import PROJECT
 from tests.hil.command_line import typed
@@ -193,3 +194,14 @@ def test_pictures_and_predictions_replace_no_file_of_a_run(run):
     assert done.returncode == 2 and "a picture is a .svg" in done.stderr and "Traceback" not in done.stderr
     done = CliRunner().invoke(group, ["review", str(run.path), "--screenshot", str(run.path.parent / "load.csv")])
     assert done.exit_code == 2 and "the picture is a PNG" in done.output
+
+
+def test_no_device_pipe_or_stream_is_replaced_by_a_file(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "stdout").symlink_to("/proc/self/fd/1")
+    for name in ("pipe", "stdout", "-"):
+        with pytest.raises(RunFolderError, match="name a file"):
+            require_output(tmp_path / name, RunFolderError)
+    with pytest.raises(OSError, match="a device, pipe or socket"), replacing(tmp_path / "pipe") as unfinished:
+        unfinished.write_text("lost")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["pipe", "stdout"]
