@@ -54,5 +54,10 @@ def replacing(path: Path) -> Iterator[Path]:
         with unfinished.open("rb") as handle:
             os.fsync(handle.fileno())
         unfinished.replace(path)
+    except OSError as error:
+        if error.filename is not None and os.fspath(error.filename) == os.fspath(unfinished):
+            error.filename = os.fspath(path)  # users know nothing of the other
+        raise
     finally:
-        unfinished.unlink(missing_ok=True)
+        with contextlib.suppress(PermissionError, NotADirectoryError):
+            unfinished.unlink(missing_ok=True)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import re
 import xml.etree.ElementTree as ET
 
 import pytest
 
+from hil.files import replacing
+from hil.run.session.regenerate import judge_recorded, regenerate_files
 from hil.run_folder import Labels, RunFolderError, add_note, read_verdict
 from hil.testing import judge_run, junit, read_plan, requirement_matrix
 from hil.testing.matrix import references
@@ -209,3 +212,23 @@ def test_a_verdict_that_its_limits_do_not_give_is_refused(judged, place):
     listed = typed("ls", folder.path.parent)
     assert "damaged" in listed.stdout and "changed by hand" in listed.stderr
     assert typed("ls", folder.path.parent, "--verdict", "pass", "--json").stdout.strip() == "[]"
+
+
+def test_a_run_in_a_folder_that_cannot_be_written_is_refused_in_a_sentence(judged, monkeypatch):
+    folder, plan = judged
+
+    def refused(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr("hil.files.atomic.tempfile.TemporaryFile", refused)
+    before = sorted(path.name for path in folder.path.parent.iterdir())
+    for call in (lambda: judge_recorded(read_plan(plan), folder), lambda: regenerate_files(folder, False, print)):
+        with pytest.raises(RunFolderError, match="Read-only file system.; make it writable, or copy the run"):
+            call()
+    assert sorted(path.name for path in folder.path.parent.iterdir()) == before
+
+
+def test_an_error_of_writing_names_the_file_that_was_asked_for(tmp_path):
+    with pytest.raises(OSError) as caught, replacing(tmp_path / "no" / "page.html") as unfinished:
+        unfinished.write_text("")
+    assert caught.value.filename == str(tmp_path / "no" / "page.html")

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hil.files import require_writable
 from hil.journal import ENDED, JournalError, JournalReader, export_record, recorded_rows
 from hil.run.session.derived_files import RECORD, REVIEW, REVISION, VERDICT, DerivedFiles, derive_files
 from hil.run.session.manifest import END_KEYS, END_OF_RUN, TWIN_KEYS, foreign_journal
@@ -15,6 +16,10 @@ from hil.run_folder import RunFolder, RunFolderError, read_verdict, without_end
 
 if TYPE_CHECKING:
     from hil.testing import Plan, TestResult
+
+
+_COPY = "make it writable, or copy the run and take the copy"
+"""Remedy for the folder of a run in which no file can be made."""
 
 
 def regenerate_files(folder: RunFolder, rebuild: bool, announce: Callable[[str], None]) -> DerivedFiles:
@@ -37,6 +42,7 @@ def regenerate_files(folder: RunFolder, rebuild: bool, announce: Callable[[str],
         The journal is missing or damaged.
     """
     folder.read_manifest()  # refuse a folder of something else before it is locked
+    require_writable(folder.path, RunFolderError, _COPY)
     with folder.owned():
         before = folder.read_manifest()
         finished = before.get("exit_status") != "running"
@@ -135,6 +141,7 @@ def judge_recorded(plan: Plan, folder: RunFolder) -> TestResult:
     from hil.testing import judge_run
 
     folder.read_manifest()  # refuse a folder of something else before it is locked
+    require_writable(folder.path, RunFolderError, _COPY)
     with folder.owned():
         result = judge_run(plan, folder)
         folder.write_manifest(folder.read_manifest() | {"verdict": read_verdict(folder)["verdict"]})
