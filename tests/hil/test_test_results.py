@@ -223,7 +223,7 @@ def test_a_run_in_a_folder_that_cannot_be_written_is_refused_in_a_sentence(judge
     monkeypatch.setattr("hil.files.atomic.tempfile.TemporaryFile", refused)
     before = sorted(path.name for path in folder.path.parent.iterdir())
     for call in (lambda: judge_recorded(read_plan(plan), folder), lambda: regenerate_files(folder, False, print)):
-        with pytest.raises(RunFolderError, match="Read-only file system.; make it writable, or copy the run"):
+        with pytest.raises(RunFolderError, match=r"Read-only file system\); make it writable, or copy the run"):
             call()
     assert sorted(path.name for path in folder.path.parent.iterdir()) == before
 
