@@ -6,7 +6,7 @@ import importlib
 import os
 import signal
 import sys
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
@@ -85,6 +85,15 @@ _LIVE = ("ctl", "explain", "resume", "rig", "run", "start", "test")
 """Verbs that need processes, locks and signals of Linux."""
 
 
+INTERRUPTED = 128 + signal.SIGINT
+"""Exit code after Ctrl-C, as that of a process that the signal ended: 1 is that of a fault that was found."""
+
+
+def _end(why: str, code: int) -> NoReturn:
+    click.echo(f"hil: {why}", err=True)
+    sys.exit(code)
+
+
 class _Verbs(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(VERBS)
@@ -105,8 +114,15 @@ class _Verbs(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         from hil.cli.options import explained_extras
 
-        with explained_extras():
-            return super().invoke(ctx)
+        try:
+            with explained_extras():
+                return super().invoke(ctx)
+        except KeyboardInterrupt:
+            _end("interrupted; the same command begins anew", INTERRUPTED)
+        except click.Abort as error:
+            if isinstance(error.__context__, EOFError):
+                _end("the input ended before all questions were answered; answer them, or give options (--help)", 2)
+            _end("interrupted before all questions were answered", INTERRUPTED)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         import difflib

@@ -6,8 +6,11 @@ import socket
 import subprocess
 import sys
 
+import click
 import pytest
+from click.testing import CliRunner
 
+from hil.cli.verbs import group
 from tests.hil.command_line import hil
 from tests.hil.input_files import ANY_RIG, EFFECT, GOOD_LOAD, PROJECT, RIG, load
 
@@ -143,3 +146,22 @@ def test_a_file_in_the_place_of_another_is_named_as_what_it_is(tmp_path, monkeyp
     code, printed = hil(*arguments)
     assert code == 2
     assert said in printed
+
+
+@pytest.mark.parametrize(
+    ("raised", "code", "said"),
+    [(KeyboardInterrupt, 130, "hil: interrupted"), (click.Abort, 130, "hil: interrupted before all questions")],
+)
+def test_ctrl_c_is_told_from_a_fault_that_was_found(tmp_path, monkeypatch, raised, code, said):
+    def stopped(*_: object, **__: object) -> None:
+        raise raised
+
+    monkeypatch.setattr("hil.cli.run_commands.ls.command.callback", stopped)
+    done = CliRunner().invoke(group, ["ls", str(tmp_path)])
+    assert (done.exit_code, done.output.startswith(said)) == (code, True)
+
+
+def test_an_input_that_ends_before_all_questions_asks_for_options(tmp_path, monkeypatch):
+    monkeypatch.setattr("hil.cli.run_commands.ls.command.callback", lambda *_, **__: click.prompt("name"))
+    done = CliRunner().invoke(group, ["ls", str(tmp_path)], input="")
+    assert done.exit_code == 2 and "the input ended before all questions were answered" in done.output
