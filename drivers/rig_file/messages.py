@@ -125,7 +125,11 @@ def mistake(item: Any) -> str:
     if kind in ("too_short", "too_long", "missing_argument"):
         least, most = context.get("min_length"), context.get("max_length")
         count = least if least is not None else most
-        return f"must be a list of {count} values, got {context.get('actual_length', shown(given))}; correct it"
+        values = f"{count} value" + ("s" if count != 1 else "")
+        bound = "at least " if kind == "too_short" else ""
+        return f"must be a list of {bound}{values}, got {context.get('actual_length', shown(given))}; correct it"
+    if kind in ("tuple_type", "list_type") and isinstance(given, dict) and item["loc"]:
+        return f"is one table; begin each with [[{item['loc'][-1]}]]"
     needed = _NEEDED.get(kind.split("_")[0])
     if needed is None:
         return f"cannot be {shown(given)}; look the key up in docs/reference"

@@ -13,6 +13,7 @@ from typing import Annotated, Any, ClassVar, Literal, cast
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from drivers.rig_file import line_of, mistake, read_regular, tables_of
+from twin.calibrators import CALIBRATOR_NAMES
 
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 MOST_JOBS = 1_000_000
@@ -71,6 +72,14 @@ class TrackSection(_OverRecords):
     calibrators: _Names | None = None
     seeds: _Seeds = (0,)
     predictions: bool = False
+
+    @field_validator("calibrators")
+    @classmethod
+    def _known(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        unknown = [name for name in names or () if name not in CALIBRATOR_NAMES]
+        if unknown:
+            raise ValueError(f"no calibrator {', '.join(unknown)}; there are {', '.join(CALIBRATOR_NAMES)}")
+        return names
 
 
 class _OverSeeds(_Strict):

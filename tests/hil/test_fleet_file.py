@@ -27,6 +27,8 @@ from tests.hil.reference_pages import page
         ("records/*.parquet", "record/*.parquet", 6, r"records of rig lab: there is no record .*record/\*\.parquet"),
         ('twin = "loop.toml"', 'twin = "lop.toml"', 5, r"twin of rig lab: there is no file .*lop\.toml"),
         ('twin = "loop.toml"\n', "", 3, "twin of rig lab: is missing, and .*records has no twin.toml; name the twin"),
+        ('calibrators = ["', 'calibrators = ["no", "', 11, "calibrators of job track: no calibrator no; there are pso"),
+        ("[[rig]]", "[rig]", 3, r"rig: is one table; begin each with \[\[rig\]\]"),
         ("calibrators", "calibrater", 11, "calibrater of job track: is not a key here; did you mean calibrators?"),
         ('kind = "track"', 'kind = "track"\nrigs = ["bal"]', 11, "there is no rig 'bal'; there are lab"),
         ('kind = "track"', 'kind = "track"\nseeds = [-1]', 11, "seeds of job track"),
