@@ -20,6 +20,8 @@ SERVER_PORT = 4840
 """Port that IANA has for OPC UA."""
 PASSWORD_VARIABLE = "HIL_MQTT_PASSWORD"
 SERVER_PASSWORD_VARIABLE = "HIL_OPCUA_PASSWORD"
+LONGEST_PREFIX = 65_535 - 1_024
+"""Most bytes of a prefix: a topic has 65,535 (MQTT 5.0, 1.5.4), of which the names of run and signal need the rest."""
 _LONGEST_NAME = 100
 """Bytes of an address that a file name repeats: room for the digest and the endings."""
 
@@ -85,6 +87,8 @@ def parse_address(text: str) -> Address:
         return Address(scheme, without_password(text), text)
     parts, port = _parts(text)
     prefix = unquote(parts.path).strip("/") or "hil"
+    if len(prefix.encode("utf-8", "replace")) > LONGEST_PREFIX:
+        raise StreamError(f"the prefix of topics has more than {LONGEST_PREFIX} bytes; shorten it")
     if prefix.startswith("$") or any(c in "+#" or not c.isprintable() for c in prefix):
         raise StreamError("the prefix of topics may not begin with $ nor hold +, # or control characters; rename it")
     host, user = parts.hostname or "", unquote(parts.username) if parts.username else None
@@ -119,10 +123,10 @@ def _parts(text: str) -> tuple[SplitResult, int]:
     )
     try:
         parts = urlsplit(text)
-        port = parts.port or PORTS[parts.scheme]
+        port = PORTS[parts.scheme] if parts.port is None else parts.port
     except ValueError:
         raise StreamError(wrong) from None
-    if not parts.hostname or any(c in text for c in "?#"):
+    if not parts.hostname or port == 0 or any(c in text for c in "?#"):
         raise StreamError(wrong)
     return parts, port
 

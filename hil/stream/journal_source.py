@@ -164,8 +164,15 @@ class JournalSource:
             name, reason = self._state.target, self._state.reason
             at_us = self._moment_us(self._state.time_s, self._state.wall_s)
         if self._cut:
+            at_us = max(at_us, self._last_us())
             return RunState("interrupted", at_us, "the run was killed, or the power failed")
         return RunState(name, at_us, reason)
+
+    def _last_us(self) -> int:
+        """Return the UTC time of the last sample; 0 without one."""
+        tick, _ = self._reader.last()
+        times_us = self._utc_us(self._reader.samples(tick - 1, 1).time_s)
+        return int(times_us[-1]) if len(times_us) else 0
 
     def _moment_us(self, time_s: float, wall_s: float) -> int:
         """Return the UTC time of a row: by rig time, or by the wall clock before the first tick."""

@@ -268,6 +268,8 @@ def test_a_run_that_was_killed_is_streamed_as_interrupted(broker: Broker, heard:
     assert "5 ticks" in done.stdout and "run interrupted" in done.stdout
     until(lambda: heard.of("/state"), "the state came")
     assert heard.of("/state")[-1]["state"] == "interrupted"
+    samples = [message["time"] for message in heard.of("/T_tank_C")]
+    assert heard.of("/state")[-1]["time"] == max(samples)
     assert run.writer is not None
     run.writer.close()
 
@@ -304,6 +306,8 @@ def test_giving_up_is_a_sentence_with_exit_code_1(tmp_path: Path) -> None:
         ("broker.example.org", "an address begins with the kind of its store"),
         ("mqtt://broker:wide/lab", "the address of the broker cannot be read"),
         ("mqtt:///lab", "the address of the broker cannot be read"),
+        ("mqtt://broker:0/lab", "the address of the broker cannot be read"),
+        ("mqtt://broker/" + "é" * 33_000, "the prefix of topics has more than 64511 bytes; shorten it"),
         ("mqtt://broker/lab/#", "the address of the broker cannot be read"),
         ("mqtt://broker/lab/+/x", "the prefix of topics may not begin with $ nor hold"),
         ("mqtt://broker/$SYS/x", "the prefix of topics may not begin with $ nor hold"),
