@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.signals import Quality
 from hil.journal import JournalError, JournalReader, StateRow
-from hil.run_folder import RunFolder
+from hil.run_folder import RunFolder, RunFolderError
 from hil.stream.errors import StreamError
 from hil.stream.store import Block, Position, RunEvent, RunIdentity, RunState
 
@@ -67,7 +67,7 @@ class JournalSource:
         now = time.monotonic()
         if now - self._checked_at >= CUT_CHECK_S:
             self._checked_at = now
-            self._cut = self._folder.was_cut
+            self._cut = self._folder.was_cut or self._lacks_end()
         return self._cut
 
     def last_position(self) -> Position:
@@ -75,6 +75,14 @@ class JournalSource:
         last, _ = self._reader.last()
         events = self._reader.events()
         return Position(last - 1 if last >= 0 else -1, events[-1].id if events else 0)
+
+    def _lacks_end(self) -> bool:
+        """Return True for the copy of a journal that ends before its run, which `run.json` says to have ended."""
+        try:
+            has_ended = self._folder.read_manifest().get("exit_status", "running") != "running"
+        except RunFolderError:
+            return False
+        return has_ended and self._folder.is_held is False and self._reader.meta("exit_status") is None
 
     def read(self, before: Position, limit: int, *, ended: bool) -> Block:
         """Return at most `limit` ticks after `before`, all later events, and the present state.

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from hil.bench.faults.tls import authority, signed
+from hil.run_folder import RunFolder
 from hil.stream import StreamOptions
 from hil.stream.address import parse_address
 from tests.hil.command_line import typed
@@ -259,9 +260,14 @@ def test_a_second_stream_to_the_same_broker_is_refused(broker: Broker, heard: Su
     assert stream.result().ticks == 10
 
 
-def test_a_run_that_was_killed_is_streamed_as_interrupted(broker: Broker, heard: Subscriber, tmp_path: Path) -> None:
+@pytest.mark.parametrize("status", ["running", "done"], ids=["killed", "journal copied before the end"])
+def test_a_run_that_was_killed_is_streamed_as_interrupted(
+    broker: Broker, heard: Subscriber, tmp_path: Path, status: str
+) -> None:
     run = live_run(tmp_path, 10)
     run.write(5)
+    folder = RunFolder(run.path)
+    folder.write_manifest(folder.read_manifest() | {"exit_status": status})
     run._held.close()  # as the kernel does for a process that is gone
     done = typed("stream", run.path, "--to", _to(broker), "--all")
     assert done.returncode == 0, done.stderr
