@@ -98,11 +98,12 @@ class Answering:
         """Yield answers that nobody needs to be asked for."""
         if question.key in self._refused:
             return
-        if question.key in self.given:
+        if question.key in self.given:  # where it is refused, no older answer and no default takes its place
             yield self.given[question.key]
+            return
         if question.consent is not None:
             return
-        if question.key in self.saved and self.saved[question.key] != self.given.get(question.key):
+        if question.key in self.saved:
             yield self.saved[question.key]
         if self.takes_defaults and question.default is not None:
             yield question.default

@@ -390,8 +390,23 @@ def test_a_load_that_is_none_is_refused_before_anything_is_agreed_to(tmp_path, m
     rig = RecordedRig(tmp_path, monkeypatch)
     (tmp_path / "bad.csv").write_text("time_s,heater_power_W\n0,1\n0,2\n", encoding="utf-8")
     said = rig.start("bad.csv", load="bad.csv")
-    assert said.count("refused: ") == 2 and "bad.csv" in said and "question 'load'" not in said
-    assert "question 'writes.healthy'" in said
+    assert said.count("refused: ") == 2 and "bad.csv" in said
+    assert "question 'load'" in said and "writes.healthy" not in said  # no default takes its place
+
+
+def test_a_given_answer_that_is_refused_is_replaced_by_no_older_one_and_no_default():
+    question = Question("port", "Port", "502", whole(1, 65535))
+    said: list[str] = []
+
+    def ends(_prompt: str) -> str:
+        raise EOFError
+
+    answering = Answering({"port": "abc"}, {"port": "5020"}, True, said.append, ends)
+    with pytest.raises(StopRequest, match="question 'port'"):
+        answering.answer(question)
+    assert "port = 'abc' is refused" in said[0]
+    assert Answering({}, {"port": "5020"}, False, said.append, ends).answer(question) == "5020"
+    assert Answering({"port": "503"}, {"port": "5020"}, False, said.append, ends).answer(question) == "503"
 
 
 def test_a_rig_without_a_point_to_drive_ends_the_course_with_the_remedy(tmp_path, monkeypatch):

@@ -49,7 +49,7 @@ def command(
         start(request, _say, _read)
     except KeyboardInterrupt:
         click.echo("\nhil: stopped; `hil start` in this folder goes on here", err=True)
-        sys.exit(1)
+        sys.exit(130)
     except StopRequest as stop:
         click.echo(f"hil: {stop}; `hil start` in this folder goes on there", err=True)
         sys.exit(stop.exit_code)
