@@ -71,4 +71,5 @@ def command(
         raise SystemExit(130) from None
     click.echo(on_terminal(f"{done.to}: {done.ticks} ticks and {done.events} events, run {done.state}"))
     if not done.ticks and not done.events and done.positions is not None:
-        announce(f"nothing was new: the run has no samples, or all was confirmed before; remove {done.positions} to send it again")
+        why = "the run has no samples, or all was confirmed before"
+        announce(f"nothing was new: {why}; remove {done.positions} to send it again")
