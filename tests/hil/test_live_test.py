@@ -170,7 +170,7 @@ def test_a_severe_failure_trips_the_run_and_leaves_the_rig_safe(tripped):
 def test_the_files_of_a_tripped_run_have_its_verdict(tripped):
     result, _ = tripped
     limits = read_verdict(result.folder)["tests"][0]["limits"]
-    assert [limit["verdict"] for limit in limits] == ["fail", "fail", "inconclusive"]
+    assert [limit["verdict"] for limit in limits] == ["fail", "inconclusive", "inconclusive"]  # no protection tripped
     manifest = result.folder.read_manifest()
     assert manifest["verdict"] == "fail" and not manifest["missing"]
     assert "test" in manifest["files"] and result.folder.junit.is_file()
