@@ -182,6 +182,8 @@ def _own_zone(store: HistorianStore, stamps: str | None) -> list[str]:
 def surveyed(store: HistorianStore, station: Station) -> tuple[list[Series], list[str]]:
     """Return the raw series of the station's tags, and what is wrong with them before defects are looked for.
 
+    Stamps of a clock that was set wrong are moved back, as `align` does it.
+
     Raises
     ------
     RecordError
@@ -191,9 +193,20 @@ def surveyed(store: HistorianStore, station: Station) -> tuple[list[Series], lis
     """
     raw, remarks = read_series(store, station)
     raw, strays = without_strays(raw, station.places)
+    raw, set_wrong = with_clock_steps_undone(raw)
+    clocks = [_moved_back(one, station.places) for one in set_wrong]
     _, wrong = in_usual_units(raw, station.places, station.ratings)
     order = order_and_silence(raw, station.places, frozenset(one.tag.name for one in raw))
-    return raw, [*station.remarks, *remarks, *strays, *order, *wrong]
+    return raw, [*station.remarks, *remarks, *strays, *clocks, *order, *wrong]
+
+
+def _moved_back(defect: Defect, places: Mapping[str, str]) -> str:
+    """Return a sentence on stamps that a clock set wrong has given."""
+    first = defect.tags[0]
+    return (
+        f"{places.get(first, 'the dictionary')}: from {iso(defect.start_s)[:16]}Z to {iso(defect.end_s)[:16]}Z, UTC, "
+        f"{defect.says} ({first} is one of them); hil tower align moves them back: check the logger's clock"
+    )
 
 
 def read_series(store: HistorianStore, station: Station) -> tuple[list[Series], list[str]]:

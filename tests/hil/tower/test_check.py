@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.hil.tower.made_store import hil, written_station
@@ -48,6 +50,20 @@ def test_a_dictionary_beside_a_store_that_lacks_its_tag_is_a_problem_with_its_li
     assert hil("check", folder) == 1
     said = capsys.readouterr().out
     assert f"tags.csv:{line}: T1OUTX of the dictionary is not in the store" in said and "rename it" in said
+
+
+def test_stamps_of_a_clock_that_was_set_wrong_are_named_as_the_alignment_moves_them(
+    clean: list[Series], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def off(one: Series) -> Series:
+        hours = (one.time_s - one.time_s[0]) / 3600.0
+        return replace(one, time_s=one.time_s - np.where((hours >= 50.0) & (hours < 62.0), 7200.0, 0.0))
+
+    folder = written_station(tmp_path / "station", [off(one) for one in clean])
+    assert hil("check", folder) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "min behind: the clock was set" in said and "hil tower align moves them back" in said
+    assert "go back" not in said  # moved, they are in order
 
 
 def test_an_aligned_record_is_told_by_cell_and_a_damaged_one_is_a_problem(
