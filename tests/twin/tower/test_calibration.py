@@ -14,7 +14,7 @@ from twin.tower.cell import Inputs
 from twin.tower.cell_observations.evidence import Label, interval_as_gaussian
 from twin.tower.clean_cell.commissioning import CommissioningError, TestPoints, fit_clean_cell
 from twin.tower.estimates import Opening, Priors
-from twin.tower.minutes import Minutes, blocks_of, minutes_of
+from twin.tower.minutes import Minutes, blocks_of, first_order_lag, minutes_of
 from twin.tower.model import CellModel, DesignPoint
 from twin.tower.smoother import estimate
 from twin.tower.twin_file import BOUNDS
@@ -124,6 +124,36 @@ def test_outlet_of_a_window_does_not_follow_its_own_readings(model: CellModel) -
     moved.columns["t_out_C"][rows] += 1.0
     other = predict_cell(fit_cell(model, minutes(moved), Priors(BOUNDS), (), ()))
     assert np.nanmax(np.abs(other.t_out - base.t_out)[rows]) < 0.08
+
+
+def test_a_window_that_alone_shows_a_fan_at_rest_is_no_measure_of_its_minutes_with_the_fan(model: CellModel) -> None:
+    made = made_cell(6, seed=12)
+    minute = np.arange(len(made.time_s))
+    rest = (minute >= 4 * 1440 + 720) & (minute < 4 * 1440 + 780)  # the first hour of a window
+    still = {"fan_speed_pct": 0.0, "fan_command_pct": 0.0, "fan_power_kW": 0.1}
+    columns = made.columns | {name: np.where(rest, v, made.columns[name]) for name, v in still.items()}
+    # Wind has stalled the draft: the water hardly cools.
+    columns["t_out_C"] = np.where(rest, made.columns["t_in_C"] - 0.1 + made.truth["bias"], made.columns["t_out_C"])
+    changed = replace(made, columns=columns)
+    found = predict_cell(fit_cell(model, minutes(changed), Priors(BOUNDS), (), ()))
+    water = np.where(rest, made.columns["t_in_C"] - 0.1, made.truth["t_out"])
+    off = np.abs(found.t_out - water)
+    first, last = np.flatnonzero(rest)[[0, -1]]
+    assert 0.4 < np.median(off[first + 15 : last]) < 1.5  # nothing else shows it
+    assert np.median(off[last + 16 : first + 120]) < 0.3
+
+
+def test_a_window_without_readings_has_nothing_to_hide(model: CellModel) -> None:
+    made = made_cell(6, seed=13)
+    minute = np.arange(len(made.time_s))
+    silent = (minute >= 3 * 1440) & (minute < 3 * 1440 + 120)
+    changed = replace(made, columns=made.columns | {"t_out_C": np.where(silent, np.nan, made.columns["t_out_C"])})
+    fitted = fit_cell(model, minutes(changed), Priors(BOUNDS), (), ())
+    p = fitted.posterior
+    slow = p.slow[p.cells_at(fitted.minutes.time_s)]
+    plain = first_order_lag(model.outlet(fitted.minutes.operation, slow, p.constant), fitted.minutes.known)
+    assert np.array_equal(predict_cell(fitted).t_out[silent], plain[silent])
+    assert not np.array_equal(predict_cell(fitted).t_out[~silent], plain[~silent])
 
 
 def test_too_short_a_record_is_refused(model: CellModel) -> None:

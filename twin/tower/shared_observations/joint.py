@@ -47,5 +47,12 @@ def _updated(p: Estimate, cross: Array, innovation: Array, gain: Array) -> Estim
     moved = np.concatenate(
         [(slow - p.slow)[p.cell], np.broadcast_to(constant - p.constant, (len(p.cell), len(constant)))], axis=1
     )
-    residual = p.residual - np.einsum("ij,ij->i", p.jacobian, moved)
-    return replace(p, slow=slow, constant=constant, covariance=0.5 * (covariance + covariance.T), residual=residual)
+    of_outlet = np.einsum("ij,ij->i", p.jacobian, moved)
+    return replace(
+        p,
+        slow=slow,
+        constant=constant,
+        covariance=0.5 * (covariance + covariance.T),
+        residual=p.residual - of_outlet,
+        linear_residual=p.linear_residual - of_outlet,
+    )
