@@ -151,7 +151,7 @@ def _fit(network: Network, record: CellRecord, notes: StationNotes) -> tuple[Fit
         record.time_s, record.columns, record.origin, design.m_w0, share, site_kPa=site_pressure_of(network)
     )
     model, openings = CellModel(design, site_of(notes, share)), openings_of(notes, record.cell)
-    fitted, steps, _ = fit_with_steps(model, minutes, record, priors_of(network), (), openings)
+    fitted, steps, _ = fit_with_steps(model, minutes, record, priors_of(network, notes), (), openings)
     return fitted, steps
 
 

@@ -77,9 +77,10 @@ def plan(record: Path, twin: Path, warmer: float) -> StepTestPlan:
         sensors.append("fan")
     if "basin_C" in read.columns and np.isfinite(read.columns["basin_C"]).any():
         sensors.append("basin")
-    model = CellModel(design, site_of(read_notes(record), share), effects)
+    notes = read_notes(record)
+    model = CellModel(design, site_of(notes, share), effects)
     slow = np.array([at.fill - 1.0, at.air - 1.0, at.uniformity - 1.0, at.bias, 0.0], dtype=np.float64)
-    constants, _ = priors_of(network).constant()
+    constants, _ = priors_of(network, notes).constant()
     sensitivities = model_sensitivities(model, blocks.operation.take(rows), slow, constants, sensors)
     day = blocks.operation.inputs.take(rows)
     without, tests = plan_tests(design, day, at, sensors, warmer, rows_of=sensitivities)

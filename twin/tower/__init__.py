@@ -27,7 +27,17 @@ if TYPE_CHECKING:
     from twin.tower.estimates import DAY_S, WALK, Opening, Priors, moved_grid, time_grid
     from twin.tower.identify import MOST_CONDITION, MOST_HIDDEN, Identifiability, condition_text
     from twin.tower.minutes import MEASURED, Minutes, blocks_of, first_order_lag, minutes_of
-    from twin.tower.model import DEVIATIONS, NAMES, SLOW, CellModel, DesignPoint
+    from twin.tower.model import (
+        ANY_DRAUGHT,
+        DEVIATIONS,
+        FAN_DENSITY,
+        FORCED,
+        INDUCED,
+        NAMES,
+        SLOW,
+        CellModel,
+        DesignPoint,
+    )
     from twin.tower.planning import StepTest, model_sensitivities, plan_tests
     from twin.tower.recursive import Recursion, filter_cell
     from twin.tower.shared_observations.basin import Drain, with_basin
@@ -47,12 +57,16 @@ if TYPE_CHECKING:
 
 
 __all__ = [
+    "ANY_DRAUGHT",
     "BASELINES",
     "BOUNDS",
     "CONTEXT_S",
     "DAY_S",
     "DEVIATIONS",
+    "FAN_DENSITY",
+    "FORCED",
     "IDS",
+    "INDUCED",
     "MEASURED",
     "MOST_CONDITION",
     "MOST_HIDDEN",
@@ -139,7 +153,17 @@ __getattr__, __dir__ = lazy_names(
         "estimates": ("DAY_S", "Opening", "Priors", "WALK", "moved_grid", "time_grid"),
         "identify": ("Identifiability", "MOST_CONDITION", "MOST_HIDDEN", "condition_text"),
         "minutes": ("MEASURED", "Minutes", "blocks_of", "first_order_lag", "minutes_of"),
-        "model": ("CellModel", "DEVIATIONS", "DesignPoint", "NAMES", "SLOW"),
+        "model": (
+            "ANY_DRAUGHT",
+            "CellModel",
+            "DEVIATIONS",
+            "DesignPoint",
+            "FAN_DENSITY",
+            "FORCED",
+            "INDUCED",
+            "NAMES",
+            "SLOW",
+        ),
         "planning": ("StepTest", "model_sensitivities", "plan_tests"),
         "recursive": ("Recursion", "filter_cell"),
         "shared_observations.basin": ("Drain", "with_basin"),

@@ -116,8 +116,7 @@ def solve_cell(
         fall = np.where(np.abs(u.t_in - t_out) < 0.05, 0.05, u.t_in - t_out)
         slope = (h_hot - moist.saturated_enthalpy(u.t_in - fall, u.pressure)) / fall
         ratio = wet_air * slope / (m_w * CP_WATER)
-        effectiveness = _effectiveness(ntu, ratio)
-        heat = effectiveness * wet_air * (h_hot - h_in)
+        heat = counterflow_effectiveness(ntu, ratio) * wet_air * (h_hot - h_in)
         t_out = u.t_in - heat / (m_w * CP_WATER)
     lost = np.full_like(t_out, np.nan)
     if with_evaporation:
@@ -127,7 +126,7 @@ def solve_cell(
     return CellOutputs(t_out, heat, lost, power, m_a)
 
 
-def _effectiveness(ntu: Array, ratio: Array) -> Array:
+def counterflow_effectiveness(ntu: Array, ratio: Array) -> Array:
     """Return the effectiveness of counter-flow; NTU/(1 + NTU) where the capacities are equal."""
     x = ntu * (1.0 - ratio)
     near = np.abs(x) < 1e-6

@@ -106,7 +106,7 @@ class Estimate:
     slow
         Deviations (k, 5).
     constant
-        Global quantities (24,), then the weights of the discrepancy's features.
+        Global quantities (27,), then the weights of the discrepancy's features.
     covariance
         Of [slow row by row, constant].
     sigma

@@ -5,7 +5,7 @@ method, the test points and the station's instruments leave open, each with a pr
 instrument. So the structural error of the twin is a function of the operating point that a fit can separate from a
 slow deviation:
 
-    effective speed = (speed^3 + draft^3)^(1/3),   draft = draft_0 sqrt(buoyancy)          free convection
+    air flow by fan, buoyancy and wind                                                     `twin.tower.air_flow`
     Me             *= (1 + fill_share fill) exp(merkel) (T_in/T_in0)^inlet (L/G)^-exponent    law of the fill
     T_wb at the fill = T_wb + (recirculation + wind terms) (T_exhaust - T_wb)              recirculation
     t_out          += sum of weights times smooth functions of the operating point         discrepancy (Kennedy &
@@ -23,6 +23,7 @@ import numpy as np
 
 from twin.tower import air as moist
 from twin.tower.air import Array
+from twin.tower.air_flow import CALM, LEAST_WAY, effective_speed, exhaust_density, exhaust_density_at
 from twin.tower.cell import KAPPA, STARVING, WETTED, CellDeviations, Design, Inputs, Rows, solve_cell
 from twin.tower.clean_cell import discrepancy
 from twin.tower.effects import CellEffect, after_fill, before_fill
@@ -34,16 +35,12 @@ DEVIATIONS = SLOW[:4]
 INLET_C, WET_C, RANGE_K = 36.0, 25.0, 7.0
 """Design point where the datasheet gives none: that of the Cooling Technology Institute's usual rating, 95/85/78
 degF."""
-CALM = 1.5
-"""Wind of an acceptance test, m/s."""
-WEAKEST_FAN = 0.3
-"""Speed, share of full, below which the wind's effect on the air flow grows no more."""
 EXHAUST = 0.7
 """Rise of the air's temperature as a share of the way from its wet bulb to the hot water; an effectiveness of 0.6 to
 0.8."""
-
-LEAST_WAY = 1.0e3
-"""Least difference of enthalpy that a rise is a share of, J/kg: a third of a kelvin."""
+FAN_DENSITY = "fan_density"
+INDUCED, FORCED, ANY_DRAUGHT = (0.85, 0.1), (0.15, 0.1), (0.5, 0.35)
+"""Mean and standard deviation of `fan_density` for a fan in the exhaust, one in the entering air, and either."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +81,30 @@ GLOBALS: tuple[Global, ...] = (
     Global("starving", 1.0, 0.7, "power by which nozzles starve as the flow falls: of their head, 0 to 2"),
     Global(
         "draft",
-        0.12,
-        0.05,
-        "share of design air with the fan at rest, at 5 % of buoyancy: 5 to 20 % of counter-flow cells",
+        0.16,
+        0.06,
+        "share of design air by buoyancy alone past a fan that turns, at 5 % of it: 5 to 20 % of counter-flow cells "
+        "with the fan at rest, over `rest`",
+    ),
+    Global(
+        "rest",
+        0.75,
+        0.15,
+        "share of it that passes a fan at rest, 0.5 to 1: the fan's resistance is up to three times that of the cell",
+    ),
+    Global(
+        "stalled",
+        0.06,
+        0.025,
+        "share of design air that passes a fan at rest where wind stalls the draft: from what leaks, 0.02, to the draft "
+        "of a calm, 0.1",
+    ),
+    Global(
+        FAN_DENSITY,
+        *INDUCED,
+        "power of the exhaust's density over that of the entering air in the air flow: 1 for a fan in the exhaust, "
+        "less what heavier air in the resistance before it gives back, up to 0.3: a flow goes with the power -0.2 to "
+        "-0.35 of its resistance",
     ),
     Global(
         "wind_air", 0.0, 0.02, "change of the air flow for 5 m/s at full speed: 15 Pa of wind, 100 to 150 Pa of a fan"
@@ -158,11 +176,12 @@ class Operation:
 class CellModel:
     """Outlet thermometer and fan power of one cell as functions of slow deviations (n, 5) and constants.
 
-    The constants are the global quantities (24,), or these and the weights of the discrepancy's features after them.
+    The constants are the global quantities (27,), or these and the weights of the discrepancy's features after them.
     """
 
     def __init__(self, design: Design, site: DesignPoint, effects: Sequence[CellEffect] = ()) -> None:
         self.design, self.site, self.effects = design, site, tuple(effects)
+        self._lighter_at_design = exhaust_density_at(design, site.inlet, site.wet)
 
     def outlet(self, o: Operation, slow: Array, g: Array) -> Array:
         """Return the temperature of the water in the flume, degC, without the thermometer's bias (n,)."""
@@ -188,9 +207,9 @@ class CellModel:
         )
         inside = np.minimum(wet + share * EXHAUST * np.maximum(t_in - wet, 0.0), t_in)
         dry = np.maximum(u.dry, inside)
-        speed = self._effective_speed(u.speed, t_in, inside, u.pressure, q["draft"])
-        # The pressure of the wind over that of fan and draught, both as squares of a speed.
-        speed = speed * np.maximum(1.0 + q["wind_air"] * strong**2 / (speed**2 + WEAKEST_FAN**2), 0.2)
+        lighter = exhaust_density(d, Inputs(t_in, m_w, u.speed, dry, inside, u.pressure), q["draft"])
+        speed = effective_speed(u.speed, lighter, o.wind, q, self._lighter_at_design)
+        speed = speed * (lighter / self._lighter_at_design) ** q["fan_density"]
         loading = m_w / d.m_w0 / speed
         rest = 1.0 - WETTED * (1.0 + max(q["wetting"], 0.0) * slow[:, 2])
         # The law's own power is STARVING; another one is another uniformity at this flow.
@@ -235,17 +254,9 @@ class CellModel:
         q, u, d = dict(zip(NAMES, g, strict=False)), o.inputs, self.design
         ratio = np.maximum(moist.ratio_from_wet_bulb(u.dry, u.wet, u.pressure), 0.0)
         rho = moist.density(u.dry, ratio, u.pressure)
+        rho = rho * (exhaust_density(d, u, q["draft"]) / self._lighter_at_design) ** q["fan_density"]
         shaft = (1.0 + slow[:, 1]) ** -q["kappa"] * np.maximum(u.speed, 0.02) ** d.speed_exponent * rho / d.density
         return np.asarray(np.log(max(d.power, 1e-9) * np.exp(q["power_gain"]) * shaft + d.idle))
-
-    @staticmethod
-    def _effective_speed(speed: Array, t_in: Array, wet: Array, pressure: Array, draft: float) -> Array:
-        """Return the fan's speed with which the air would flow as fan and buoyancy together make it flow."""
-        exhaust = wet + EXHAUST * np.maximum(t_in - wet, 0.0)
-        outside = moist.density(wet, moist.saturated_ratio(wet, pressure), pressure)
-        inside = moist.density(exhaust, moist.saturated_ratio(exhaust, pressure), pressure)
-        lifted = max(draft, 0.0) * np.sqrt(np.maximum(1.0 - inside / outside, 0.0) / 0.05)
-        return np.asarray(np.cbrt(np.maximum(speed, 0.0) ** 3 + lifted**3))
 
     def _discrepancy(self, o: Operation, q: Mapping[str, float], fall: Array) -> Array:
         """Return the twin's own error at the operating points, K; none at design."""

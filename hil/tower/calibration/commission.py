@@ -190,9 +190,10 @@ def learn_healthy(record: Path, network: Network, span: tuple[float, float]) -> 
     origin = {name: values[rows] for name, values in cell.origin.items()}
     minutes = minutes_of(cell.time_s[rows], columns, origin, design.m_w0, share, site_kPa=site_pressure_of(network))
     clean = Healthy(*span, np.zeros(0), np.zeros((0, 0)))
-    model = CellModel(design, site_of(read_notes(record), share))
+    notes = read_notes(record)
+    model = CellModel(design, site_of(notes, share))
     try:
-        found = fit_cell(model, minutes, priors_of(network), clean.labels(cell.cell), ()).posterior
+        found = fit_cell(model, minutes, priors_of(network, notes), clean.labels(cell.cell), ()).posterior
     except CalibrationError as error:
         raise RecordError(f"{cell.path}: the healthy span {error}") from error
     constant, spread = found.constant, found.constant_covariance()

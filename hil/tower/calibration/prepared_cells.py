@@ -23,7 +23,11 @@ from hil.tower.station import (
 )
 from twin.network import Network, TwinFileError
 from twin.tower import (
+    ANY_DRAUGHT,
+    FAN_DENSITY,
+    FORCED,
     IDS,
+    INDUCED,
     Array,
     CellModel,
     DesignPoint,
@@ -150,7 +154,7 @@ def _prepare(
             f"{design.m_w0:g} kg/s; give the twin of this station instead of {path}, or the flow in kg/s"
         )
     healthy = healthy_of(path, network)
-    priors, stated = known_by(healthy, priors_of(network), minutes, cell)
+    priors, stated = known_by(healthy, priors_of(network, notes), minutes, cell)
     edges = time_grid(float(minutes.time_s[0]), float(minutes.time_s[-1]))
     model = CellModel(design, site_of(notes, share), effects)
     return PreparedCell(
@@ -158,8 +162,11 @@ def _prepare(
     )
 
 
-def priors_of(network: Network) -> Priors:
-    """Return the priors of a twin: bounds of the deviations, and the uncertainty of the clean cell."""
+def priors_of(network: Network, notes: StationNotes | None = None) -> Priors:
+    """Return the priors of a twin: bounds of the deviations, and the uncertainty of the clean cell.
+
+    The datasheet of a station's notes names the draught, if any: where the fan stands.
+    """
     bounds = {}
     for name, identifier in IDS.items():
         low, high = network.bounds([identifier])
@@ -168,7 +175,16 @@ def priors_of(network: Network) -> Priors:
         "merkel": (0.0, value_of(network, "cell.merkel_sd")),
         "exponent": (0.0, value_of(network, "cell.exponent_sd")),
     }
+    if notes is not None:
+        replaced[FAN_DENSITY] = _fan_density(str(notes.datasheet.get("kind", "")).casefold())
     return Priors(bounds, replaced)
+
+
+def _fan_density(kind: str) -> tuple[float, float]:
+    """Return mean and standard deviation of the power of the exhaust's density, by a datasheet's kind of tower."""
+    if "forced" in kind:
+        return FORCED
+    return INDUCED if "induced" in kind else ANY_DRAUGHT
 
 
 def site_of(notes: StationNotes, bypass_share: float) -> DesignPoint:

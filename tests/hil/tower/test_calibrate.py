@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,13 @@ from click.testing import CliRunner
 
 from hil.cli.verbs import group
 from hil.errors import exit_code
+from hil.tower.calibration import priors_of
 from hil.tower.calibration.remarks import gap_sentences
+from hil.tower.station import read_notes
 from tests.hil.tower.made_plant import SHEET, refused, run, write_record
 from tests.twin.tower.made_cell import made_cell
+from twin.tower import ANY_DRAUGHT, FAN_DENSITY, FORCED, INDUCED, NAMES
+from twin.twinfile import load
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +59,19 @@ def test_calibrated_table_has_outlet_and_deviations_with_intervals(calibrated: P
     assert after < 0.5 * before
     assert ((got["t_out_lo"] <= got["t_out"]) & (got["t_out"] <= got["t_out_hi"]))[known].all()
     assert np.nanmean(np.abs(got["fill"] - truth["fill"])) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("kind", "prior"),
+    [("Induced-draft counterflow", INDUCED), ("forced draught, crossflow", FORCED), ("cooling tower", ANY_DRAUGHT)],
+)
+def test_the_kind_of_tower_in_a_datasheet_names_where_the_fan_stands(
+    plant: Path, kind: str, prior: tuple[float, float]
+) -> None:
+    notes = replace(read_notes(plant / "record"), datasheet={"kind": kind})
+    means, sds = priors_of(load(plant / "cell1.toml"), notes).constant()
+    at = NAMES.index(FAN_DENSITY)
+    assert (means[at], sds[at]) == prior
 
 
 def test_records_form_a_chain_of_five_minutes_that_a_change_breaks(

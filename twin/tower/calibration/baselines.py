@@ -31,7 +31,7 @@ BLOCK_SIGMA = 0.3
 """Standard deviation of a block's outlet, K, for a fit that does not learn the twin's own error:
 about the difference of Merkel's method from a real cell over all weather."""
 PERSISTENT_BLOCKS = 3
-NEUTRAL = {"fill_share": 1.0, "wetting": 1.0, "starving": STARVING, "draft": 0.02, "kappa": -1.3}
+NEUTRAL = {"fill_share": 1.0, "wetting": 1.0, "starving": STARVING, "draft": 0.02, "rest": 1.0, "kappa": -1.3}
 """Global quantities with which the model is the clean cell's; the others are 0."""
 TREES = {"n_estimators": 120, "min_samples_leaf": 5, "n_jobs": 1}
 
