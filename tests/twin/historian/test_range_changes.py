@@ -178,6 +178,25 @@ def test_a_range_that_begins_in_a_rest_after_few_hours_at_work_is_told_by_its_en
     assert abs(found[0].end_s - START_S - end * DAY_S) < 0.3 * DAY_S
 
 
+@pytest.mark.parametrize("factor", [0.666, 1.0])
+def test_a_speed_of_some_hours_between_rests_is_outvoted_by_command_and_power(factor: float) -> None:
+    rng = np.random.default_rng(90)
+    plant = instruments(rng, 20.0)
+    at = _running(plant, 8.0)
+    minute = np.arange(20 * 1440) - round(at * 1440)
+    # The fan turns for ten hours between two rests, in which the range is changed and changed back.
+    rests = ((minute > -1440) & (minute < 0)) | ((minute > 600) & (minute < 2040))
+    for k, one in enumerate(plant):
+        if one.tag.name in ("SC1", "SI1", "JI1"):
+            plant[k] = replace(one, truth=np.where(rests, 0.0, one.truth))
+    store = _store(plant, rng, [("SI1", at - 0.5, at + 1.0, factor, 0.0)])
+    found = [one for one in _found(store) if one.kind == "range_change"]
+    assert [one.tags for one in found] == [("SI1",)] * (factor != 1.0)
+    for one in found:
+        assert abs(one.start_s - START_S - at * DAY_S) < DAY_S
+        assert abs(one.end_s - START_S - (at + 0.4) * DAY_S) < DAY_S
+
+
 def test_a_factor_of_a_unit_that_the_search_for_units_missed_is_a_change_of_unit() -> None:
     rng = np.random.default_rng(81)
     plant = instruments(rng, 20.0)

@@ -50,8 +50,14 @@ def splits_best(series: Series, ratio: Array, at: LeapCandidate, candidates: Seq
         sides = ratio[low : one.row + 1], ratio[one.after : high]
         return sum(float(np.nansum(np.abs(side - known_median(side)))) for side in sides)
 
-    near = [one for one in candidates if low <= one.row and one.after < high]
+    near = [one for one in candidates if low <= one.row and one.after < high and not _is_its_start(one, at)]
     return error(at) <= min((error(one) for one in near), default=np.inf)
+
+
+def _is_its_start(one: LeapCandidate, at: LeapCandidate) -> bool:
+    """Return whether a leap lies in the samples in which the fan starts after, or stops before, the rest of another one:
+    it is off its command then."""
+    return at.hidden and not one.hidden and (abs(one.row - at.after) < LEVEL or abs(at.row - one.after) < LEVEL)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from twin.historian.defects.panel import (
 from twin.historian.defects.range_changes.candidates import LAW_APART, LAW_S, USUAL, LeapCandidate
 from twin.historian.defects.range_changes.maps import (
     BACK,
+    CLEAR,
     EXPLAINS,
     LEAST_ROWS,
     Leap,
@@ -35,6 +36,7 @@ from twin.historian.defects.range_changes.readings import (
     is_ratio,
     law_ratio,
     least_ratio,
+    power_ratio,
     related,
 )
 from twin.historian.tags import Array, Mask, Series
@@ -246,6 +248,9 @@ def _judged_over(
         apart = abs(float(np.log(by_law / back[0]))) / abs(float(np.log(back[0]))) if back[1] == 0.0 else np.inf
         if apart <= BACK:
             return Leap(before_s, after_s, *back, apart, at.hidden)
+    outvoted = _outvoted(table, k, at, by_law) if at.hidden and _fewest(x, after) >= LEAST_ROWS else None
+    if outvoted is not None:
+        return outvoted
     if _fewest(x, after) < (HIDDEN_ROWS if at.hidden else LEAST_ROWS):
         return None
     matrix = _witnesses(table, k, rows)
@@ -297,11 +302,38 @@ def _by_law(table: TagPanel, k: int, at: LeapCandidate) -> float | None:
     series = table.series[k]
     if series.tag.role not in FANS:
         return None
-    ratio = law_ratio(table, k)
+    change = _change(series, at, law_ratio(table, k))
+    return float(np.exp(change)) if np.isfinite(change) else None
+
+
+def _outvoted(table: TagPanel, k: int, at: LeapCandidate, by_law: float | None) -> Leap | None:
+    """Return a leap of a fan's speed away from the law of its fan if power and command keep theirs; None otherwise.
+
+    A drive at a limit, or under manual control, turns the fan otherwise than its command, but the power follows.
+    """
+    ratio, series = power_ratio(table, k), table.series[k]
+    if ratio is None or by_law is None:
+        return None
+    size, kept = abs(float(np.log(by_law))), _change(series, at, ratio) / 3.0
+    own = law_ratio(table, k)
+    before, after = (abs(level - known_median(own)) for level in _levels(series, at, own))
+    if not (size >= least_ratio(series) and abs(kept) <= CLEAR * size and after > before):
+        return None
+    before_s, after_s = float(series.time_s[at.row]), float(series.time_s[at.after])
+    return Leap(before_s, after_s, by_law, 0.0, abs(kept) / size, at.hidden)
+
+
+def _levels(series: Series, at: LeapCandidate, ratio: Array) -> tuple[float, float]:
+    """Return the medians of a ratio (n,) over the hours before and after a leap; NaN where it is not known."""
     time_s = series.time_s
     low, high = np.searchsorted(time_s, (time_s[at.row] - LAW_S, time_s[at.after] + LAW_S)).tolist()
-    change = known_median(ratio[at.after : high]) - known_median(ratio[low : at.row + 1])
-    return float(np.exp(change)) if np.isfinite(change) else None
+    return known_median(ratio[low : at.row + 1]), known_median(ratio[at.after : high])
+
+
+def _change(series: Series, at: LeapCandidate, ratio: Array) -> float:
+    """Return the change of a ratio (n,) over the hours about a leap; NaN where it is not known."""
+    before, after = _levels(series, at, ratio)
+    return after - before
 
 
 def _at_the_edge(series: Series, at: LeapCandidate, fit: ScaleFit) -> bool:

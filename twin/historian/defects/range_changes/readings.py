@@ -103,3 +103,21 @@ def law_ratio(table: TagPanel, k: int) -> Array:
 
 def least_ratio(series: Series) -> float:
     return float(np.log1p(FAN_APART if series.tag.role == "fan_power" else LEAST_SHARE))
+
+
+def power_ratio(table: TagPanel, k: int) -> Array | None:
+    """Return the logarithm of a fan's power over the cube of its command at the samples of its speed's tag (n,); NaN at
+    rest. None for another tag, and without both."""
+    own = table.series[k]
+    of_fan = {one.tag.role: one for one in table.series if one.tag.cell == own.tag.cell}
+    if own.tag.role != "fan_speed" or not {"fan_power", "fan_speed_command"} <= set(of_fan):
+        return None
+    power, command = (_logarithm(of_fan[role], own.time_s) for role in ("fan_power", "fan_speed_command"))
+    return np.asarray(power - 3.0 * command)
+
+
+def _logarithm(one: Series, time_s: Array) -> Array:
+    """Return the logarithm of a tag's readings at some times (n,), in the record's unit; NaN at rest."""
+    value = unit_of(one.tag.unit).scale * one.at(time_s, 1.2 * longest_interval_s(one))
+    rest = max(SMALLEST_WORK * float(np.quantile(np.abs(canonical(one)), 0.95)), 1e-9)
+    return np.asarray(np.where(value > rest, np.log(np.maximum(value, rest)), np.nan))
