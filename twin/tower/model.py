@@ -96,8 +96,8 @@ GLOBALS: tuple[Global, ...] = (
         "stalled",
         0.06,
         0.025,
-        "share of design air that passes a fan at rest where wind stalls the draft: from what leaks, 0.02, to the draft "
-        "of a calm, 0.1",
+        "share of design air that passes a fan at rest where wind stalls the draft: from what leaks, 0.02, to the "
+        "draft of a calm, 0.1",
     ),
     Global(
         FAN_DENSITY,
