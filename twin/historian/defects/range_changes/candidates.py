@@ -55,8 +55,8 @@ def splits_best(series: Series, ratio: Array, at: LeapCandidate, candidates: Seq
 
 
 def _is_its_start(one: LeapCandidate, at: LeapCandidate) -> bool:
-    """Return whether a leap lies in the samples in which the fan starts after, or stops before, the rest of another one:
-    it is off its command then."""
+    """Return whether a leap lies in the samples about the rest of another one: a fan that starts or stops is off its
+    command."""
     return at.hidden and not one.hidden and (abs(one.row - at.after) < LEVEL or abs(at.row - one.after) < LEVEL)
 
 
