@@ -7,6 +7,7 @@ import pytest
 
 from tests.discovery.conftest import HOUR, Bench
 from twin.discovery.engine import diagnose
+from twin.discovery.evidence.part import Part, gains
 from twin.discovery.evidence.search import searched
 from twin.discovery.evidence.split_search import SplitSearch
 from twin.discovery.healthy.basis import Columns, basis
@@ -99,6 +100,32 @@ def test_a_hose_of_some_litres_is_found_though_its_score_promises_nothing(
     assert (entry.candidate.kind, entry.candidate.where) == ("delay", "modules")
     assert entry.size == pytest.approx(5.0, rel=0.1)
     assert entry.shape.onset_s == pytest.approx(HOUR * onset_h, abs=HOUR / 4)
+
+
+def test_much_of_a_bypass_is_tried_whatever_a_little_of_it_explains(pair: Bench, pair_healthy: Columns) -> None:
+    """Modules without water are not only warmer, but slower; to first order they are warmer alone."""
+    much = pair.with_element("bypass", {"kind": "bypass", "around": ["modules"], "fraction": 0.95})
+    record = pair.record(12.0, seed=3, changed=much, onset_h=5.0)
+    grid = on_grid(pair.network, record.time_s, record.inputs, record.measured)
+    part = Part.of(basis(pair.network, pair_healthy, grid, sample_period(record.time_s)), grid)
+    at_modules = [(law, e) for law, e in part.bent if law.candidate.where == "modules"]
+    assert [e.size for _, e in at_modules] == pytest.approx([0.5, 0.9])
+    by_simulation = max(gains(part, [e for _, e in at_modules]))
+    assert by_simulation > 1.1 * max(e.gain for _, e in at_modules)
+    found = diagnose(pair.network, record, pair_healthy)
+    (effect,) = found.effects
+    assert (effect.kind, effect.where) == ("flow", "modules")
+    assert effect.value == pytest.approx(0.95, abs=0.01)
+
+
+def test_a_pump_that_loses_nearly_all_of_its_flow_is_named(pair: Bench, pair_healthy: Columns) -> None:
+    """In a loop of two volumes the water that passes by the one is as lost as that which the pump no longer moves."""
+    worn = pair.with_element("pump", {"kind": "actuator", "column": "pump_speed_pct", "gain": 0.12})
+    record = pair.record(12.0, seed=3, changed=worn, onset_h=5.0)
+    (effect,) = (found := diagnose(pair.network, record, pair_healthy)).effects
+    assert (effect.kind, effect.where) in {("flow", "modules"), ("flow", "loop"), ("actuator", "pump_speed_pct")}
+    assert abs(effect.value) == pytest.approx(0.88, abs=0.01)
+    assert all(e.after < 1.15 * e.noise for e in found.errors.values())
 
 
 @pytest.mark.parametrize("onset_h", [6.0, 0.0])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.discovery.conftest import HOUR, Bench
+from tests.discovery.conftest import HOUR, STEP_S, Bench
 from twin.discovery import engine
 from twin.discovery.answer.assessed_finding import AssessedFinding
 from twin.discovery.answer.verdict import conclude
@@ -219,3 +219,23 @@ def test_a_valve_that_opens_as_nothing_recorded_does_is_no_sure_error_of_a_therm
     told = {(e.kind, e.where) for e in found.effects} | {(a.kind, a.where) for a in found.indistinguishable}
     assert ("flow", "radiator") in told or found.verdict == "unexplained"
     assert found.verdict != "effect found" or {(e.kind, e.where) for e in found.effects} == {("flow", "radiator")}
+
+
+def test_what_comes_again_in_the_held_out_part_is_no_single_spell(pair: Bench, pair_healthy: Columns) -> None:
+    """Heat for three irregular times, of which the fitted part has one: a spell of less loss there is not all of it."""
+    t, u = pair.inputs(16.0, 3)
+    leak = pair.with_element("leak", {"kind": "heat_source", "node": "tank", "power": 15.0})
+    cuts = [int(hour * HOUR / STEP_S) for hour in (0.0, 6.0, 6.8, 12.7, 13.1, 14.6, 15.2)]
+    parts, state = [], np.array(pair.start_C)
+    for k, (begun, end) in enumerate(zip(cuts, [*cuts[1:], len(t) - 1], strict=True)):
+        network = leak if k % 2 else pair.network
+        read, ends = Kernel(network, ()).trace(network.values, state, t[begun : end + 1], u[begun : end + 1])
+        parts.append(read[0][: end - begun])
+        state = ends[0][: len(network.nodes)]
+    y = np.vstack(parts)
+    noise = pair.network.sigma * np.random.default_rng(9).normal(0.0, 1.0, y.shape)
+    found = diagnose(pair.network, Columns(t[: len(y)], u[: len(y)], y + noise), pair_healthy)
+    (effect,) = found.effects
+    assert effect.shape == "own course" and effect.where == "tank"
+    others = {(a.kind, a.where) for a in found.indistinguishable}
+    assert ("heat_source", "tank") in {(effect.kind, effect.where)} | others

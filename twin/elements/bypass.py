@@ -26,7 +26,7 @@ class Bypass(Element):
 
     kind: ClassVar[str] = "bypass"
     parameters: ClassVar[tuple[ParameterSpec, ...]] = (
-        ParameterSpec("fraction", "1", 0.0, 0.0, 0.9, "tunable", "leaking valve or short cut; zero in a healthy loop"),
+        ParameterSpec("fraction", "1", 0.0, 0.0, 1.0, "tunable", "leaking valve or short cut; zero in a healthy loop"),
     )
 
     around: tuple[str, ...] = place("nodes", "nodes that are skipped, in the order of the flow path")
@@ -49,9 +49,11 @@ class Bypass(Element):
                 "of the flow",
                 0.05,
                 0.0,
-                0.9,
+                1.0,
                 "is bypassed by {value}",
                 adds={name: {"kind": cls.kind, "around": list(nodes)}},
+                exhausts=True,
+                bends=1.0,
             )
             for place, nodes in around
             if nodes not in having and (name := f"bypass_of_{nodes[0]}" if len(nodes) == 1 else f"bypass_of_{place}")
@@ -63,8 +65,9 @@ class Bypass(Element):
         now = sites.values[f"{self.name}.fraction"]
         says = "is bypassed by another share of the flow: a change by {value}" if now else "is bypassed by {value}"
         fraction = self.parameter_candidate(
-            "fraction", "flow", where, "constant", EffectSize("of the flow", 0.05, -now, 0.9 - now), says
+            "fraction", "flow", where, "constant", EffectSize("of the flow", 0.05, -now, 1.0 - now), says
         )
+        fraction = replace(fraction, exhausts=True, bends=1.0 - now)
         return (fraction if now else replace(fraction, change="new"),)
 
     def emit(self, n: Names) -> Fragment:

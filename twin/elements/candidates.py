@@ -38,6 +38,9 @@ class Candidate:
         Element -> keys of its table that differ.
     exhausts
         True if `upper` is all that there is, such as the water of a volume: a size may end there.
+    bends
+        Size at which all of a flow is lost, or 0 for other laws. Much of such a loss acts otherwise than a little: a
+        volume cut off from its water is not only warmer, but slower. It is tried whatever a little of it explains.
     shapes
         Possible time courses.
     lumped
@@ -72,6 +75,7 @@ class Candidate:
     replaces: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     inverse: bool = False
     exhausts: bool = False
+    bends: float = 0.0
     shapes: tuple[str, ...] = (*LASTING, *TRANSIENT)
     lumped: float = 0.0
     near: Callable[[], tuple[Candidate, ...]] | None = None

@@ -31,7 +31,7 @@ A pipe before a node takes the water leaving the node before (`to_<node>`) and r
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from twin.elements.base import Element, Names, ParameterSpec, place
@@ -101,16 +101,15 @@ class Flow(Element):
 
     def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
         now, (first, *_) = sites.values[f"{self.name}.factor"], sites.having(self.kind)
-        return (
-            self.parameter_candidate(
-                "factor",
-                "flow",
-                "loop" if first.name == self.name else self.name,
-                "constant",
-                EffectSize("of the nominal flow", 0.03, -0.8 * now, 1.0),
-                "carries {value} more than when commissioned",
-            ),
+        candidate = self.parameter_candidate(
+            "factor",
+            "flow",
+            "loop" if first.name == self.name else self.name,
+            "constant",
+            EffectSize("of the nominal flow", 0.03, -now, 1.0),
+            "carries {value} more than when commissioned",
         )
+        return (replace(candidate, bends=-now),)
 
     def emit(self, n: Names) -> Fragment:
         flow, mcp = n.local("q"), n.local("mcp")

@@ -82,8 +82,12 @@ class Found:
 
     @property
     def told(self) -> Hypothesis | None:
-        """Return the likeliest fitted hypothesis without effects that add less than `CLAIM` to its log odds."""
-        fits = [h for h in self.hypotheses if h.fit is not None]
+        """Return the likeliest fitted hypothesis without effects that add less than `CLAIM` to its log odds.
+
+        More effects that leave more misfit than fewer do owe their odds to errors of their forms alone.
+        """
+        fitted = [(h, len(h.entries), h.fit.chi) for h in self.hypotheses if h.fit is not None]
+        fits = [h for h, n, chi in fitted if not any(m < n and other <= chi for _, m, other in fitted)]
         if not fits:
             return None
         enough = [h for h in fits if h.odds >= fits[0].odds - CLAIM * max(len(fits[0].entries) - len(h.entries), 0)]

@@ -46,6 +46,9 @@ offset."""
 MUCH, APART, SIZES = 4.0, 4.0, 3
 """Sizes at which the fit of a lag or delay may begin, in typical ones: the least, their ratio, and how many. For the
 lag of an actuator they are 4 min, 16 min and an hour, its upper bound."""
+BENT = (0.5, 0.9)
+"""Shares of a flow with whose loss a fit may begin: without half of it a volume is twice as slow, without nine tenths
+ten times."""
 DEAD_APART_S = 150.0
 """Distance of the dead times at which a fit may begin, s, or the length of a block if that is longer. A response that
 is delayed by one load step does not resemble one that is delayed by half of it. A judgement: it bounds their number."""
@@ -144,6 +147,16 @@ class Part:
             best.setdefault(law.candidate.id, (law, entry))
         return [*best.values()]
 
+    @cached_property
+    def bent(self) -> list[tuple[CandidateLaw, Entry]]:
+        """Return losses of most of a flow, which act otherwise than those of a little, with their likeliest onset."""
+        best: dict[str, Entry] = {}
+        for entry in self.scanned:
+            if entry.candidate.bends and entry.shape.name == "step":
+                best.setdefault(entry.candidate.id, entry)
+        every = [replace(e, size=share * e.candidate.bends) for e in best.values() for share in BENT]
+        return [(e.law, e) for e in every if e.candidate.lower <= e.size <= e.candidate.upper]
+
     def late(self, onset_s: float) -> list[Entry]:
         """Return the lags and delays at the size of highest evidence: from the beginning, from an onset, and from the
         onset of their own evidence.
@@ -151,13 +164,14 @@ class Part:
         What leads the search so far may be of another kind, and its onset is none of theirs.
         """
         found = []
-        for law, entry in self.secants:
+        for law, entry in (*self.secants, *self.bent):
             own = entry.shape.onset_s
             apart = abs(own - onset_s) > self.score_test.step_s
             for since in {0.0, *(s for s in (onset_s, own if apart else onset_s) if s > EARLY_S)}:
                 if since == 0.0 and math.isinf(law.candidate.lumped):
                     continue  # indistinguishable from the lag that a twin of mixed volumes lacks
-                begun = Entry(law, Shape("step", since), np.empty(0), entry.candidate.typical, 0.0, 0.0)
+                size = entry.size if law.candidate.bends else entry.candidate.typical
+                begun = Entry(law, Shape("step", since), np.empty(0), size, 0.0, 0.0)
                 found.append(begun.refreshed(self.score_test))
         return found
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -46,6 +46,9 @@ apart; the first is repeated while it gains."""
 NEARER = (0.04, 0.02, 0.01, 0.005, 0.0025)
 """Shares by which the level of a limit is moved in turn; each is repeated while it gains. A judgement: from a third of
 the distance of two levels that are tried down to a form error."""
+NEARLY = 0.8
+"""Share of the fall of the squares by an answer that leaves no more than noise, which a nonlinear effect has by one
+simulation before its fit. A judgement: a fit from a factor of two of the right size gains the rest."""
 BEGUN = 3
 """Rounds of a fit after which its squares are comparable."""
 
@@ -68,19 +71,20 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None, given: Seq
     first = [refined(score_test, e) for e in leading(scanned, prior)]
     level = sorted((_set(part, (e,), prior) for e in first), key=lambda h: -h.odds)
     misfit = score_test.misfit
-    found = [h for group in given if (h := _carried(part, group, prior, misfit)) is not None]
+    found = [h for group in given if (h := carried(part, group, prior, misfit)) is not None]
     for count in range(1, MOST_EFFECTS + 1):
         if not level or level[0].odds < (CLAIM if count > 1 else 0.0):
             break
         say(f"fitting {min(len(level), FITTED)} hypotheses of {count} effect{'s' if count > 1 else ''}")
         found = _fitted(part, found, level, misfit)
-        if _explained(found, score_test):
+        explained = _explained(found, score_test)
+        if count == 1:
+            found = late_ones(part, found, prior, misfit, NEARLY if explained else 0.0)
+        if explained:
             # Many levels of a limit leave no more than noise, each with another share.
             limited = any(e.candidate.is_limit for e in found[0].entries)
             found = _retimed(part, found, prior, misfit) if limited else found
             break
-        if count == 1:
-            found = late_ones(part, found, prior, misfit)
         found = _retimed(part, found, prior, misfit)
         if _explained(found, score_test):
             break
@@ -94,7 +98,7 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None, given: Seq
     return Found(tuple(found), scanned, retuned, unlisted)
 
 
-def _carried(part: Part, group: tuple[Entry, ...], prior: Prior, misfit: float) -> Hypothesis | None:
+def carried(part: Part, group: tuple[Entry, ...], prior: Prior, misfit: float) -> Hypothesis | None:
     """Return effects that were found in another part of the record, fitted in this one; None if there are none."""
     if not group:
         return None
@@ -260,23 +264,36 @@ def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
     )
 
 
-def late_ones(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:
-    """Return the hypotheses with lags and delays, which are nonlinear and fitted from a large size."""
+def late_ones(part: Part, found: list[Hypothesis], prior: Prior, misfit: float, least: float = 0.0) -> list[Hypothesis]:
+    """Return the hypotheses with lags, delays and what bends, which are nonlinear and fitted from a large size.
+
+    Args:
+        least: share of the likeliest one's fall of the squares that they have by a simulation before they are fitted.
+    """
+    first = found[0].fit if found else None
     onset = found[0].entries[0].shape.onset_s if found else 0.0
-    known = {e.candidate.id for h in found if h.fit is not None for e in h.entries}
-    promising: dict[Class, float] = {}
-    for _, e in part.secants:
-        if e.gain > 2.0 * CLAIM:
-            promising[class_of(e)] = max(promising.get(class_of(e), 0.0), e.gain)
-    near = sorted(promising, key=lambda place: -promising[place])[:MOST_LATE]
+    # The fit of a lost flow from its linear size, which may be more than all, tells little.
+    known = {e.candidate.id for h in found if h.fit is not None for e in h.entries if not e.candidate.bends}
+    near = _promising(e for _, e in part.secants) + _promising(e for _, e in part.bent)
     entries = [e for e in part.late(onset) if e.candidate.id not in known and class_of(e) in near]
-    lead = np.argsort(-np.array(gains(part, entries)), kind="stable")[: 2 * FITTED]
+    gained = np.array(gains(part, entries))
+    enough = least * (0.0 if first is None else misfit - first.total)
+    lead = [i for i in np.argsort(-gained, kind="stable")[: 2 * FITTED] if gained[i] >= enough]
     begun = fitted(part, [(entries[i],) for i in lead], BEGUN)
-    gained = [(f, e) for f, (e,) in begun if misfit - f.total > 2.0 * CLAIM]
-    gained.sort(key=lambda g: g[0].total)
-    late = [_with_fit(part, replace(_set(part, (e,), prior), entries=(e,)), fit, misfit) for fit, e in gained[:FITTED]]
+    better = [(f, e) for f, (e,) in begun if misfit - f.total > max(2.0 * CLAIM, enough)]
+    better.sort(key=lambda g: g[0].total)
+    late = [_with_fit(part, replace(_set(part, (e,), prior), entries=(e,)), fit, misfit) for fit, e in better[:FITTED]]
     every = sorted([*found, *late], key=lambda h: -h.odds)
     return _settled_fits(part, every, misfit) if every else []
+
+
+def _promising(entries: Iterable[Entry]) -> list[Class]:
+    """Return the classes of greatest linear gain, if that allows a claim."""
+    gained: dict[Class, float] = {}
+    for e in entries:
+        if e.gain > 2.0 * CLAIM:
+            gained[class_of(e)] = max(gained.get(class_of(e), 0.0), e.gain)
+    return sorted(gained, key=lambda each: -gained[each])[:MOST_LATE]
 
 
 def _retimed(part: Part, found: list[Hypothesis], prior: Prior, misfit: float) -> list[Hypothesis]:

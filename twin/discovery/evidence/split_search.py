@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from twin.discovery.diagnosis import SensorError
+from twin.discovery.evidence.commissioned import nothing
 from twin.discovery.evidence.finding import Finding, Ranked
 from twin.discovery.evidence.held_out import HeldOutRecord
 from twin.discovery.evidence.hypotheses import Found, Hypothesis, Prior, apart, class_of
@@ -21,7 +22,7 @@ from twin.discovery.evidence.missing_in_health import with_missing, with_missing
 from twin.discovery.evidence.part import Part, fitted, plainly, within_commands
 from twin.discovery.evidence.priors import CLAIM, COINCIDENT_SHARE, FAULT, SURE, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, scan
-from twin.discovery.evidence.search import ladder_of, searched
+from twin.discovery.evidence.search import carried, ladder_of, log_odds_unlisted, searched
 from twin.discovery.healthy.basis import Basis, Columns
 from twin.discovery.records.grid import Grid
 from twin.discovery.refit.fitting import AGAIN, Fit
@@ -191,7 +192,31 @@ class SplitSearch:
                 )
         if found.finding.together is not None:
             found = replace(found, finding=finding_of(found.found, found.train, self.grid.span_s, fewer=True))
+        if found.finding.fit is not None and self._held_out.exceeds_usual(found.finding, found.split):
+            found = replace(found, finding=self._against_unlisted(found.finding))
         return replace(found, notes=notes)
+
+    def _against_unlisted(self, finding: Finding) -> Finding:
+        """Return a finding, without its effects where one of no listed form is likelier on all of the record.
+
+        The part that was fitted may have shown one turn only of an effect that comes again.
+        """
+        whole = self.whole
+        whole.know(e.candidate for e in finding.entries)
+        ((retuned, _),) = fitted(whole, [()])
+        whole.reset()
+        misfit = whole.score_test.misfit
+        told = carried(whole, finding.entries, Prior(whole.laws, whole.opened), misfit)
+        nothing_odds = 0.5 * (misfit - retuned.total)
+        unlisted = {at: odds - nothing_odds for at, odds in log_odds_unlisted(whole).items()}
+        whole.reset()
+        if told is None:
+            return finding
+        told = replace(told, log_bayes=told.log_bayes - nothing_odds)
+        rival = Found((told,), [], retuned, unlisted).rival_of(told, whole.score_test.expected)
+        if rival <= max(told.odds, finding.claim):
+            return finding
+        return replace(nothing(finding), odds=told.odds, unlisted=rival)
 
     def _beside(self, finding: Finding, prior: Prior, claim: float) -> Entry | None:
         """Return the likeliest effect of the whole record in addition to those of a part of it, if its odds allow a
