@@ -117,7 +117,7 @@ def test_a_size_of_a_hundred_typical_ones_costs_a_few_nats_and_not_its_square() 
 @pytest.mark.parametrize(
     "shape",
     [
-        Shape("spell", 700.0, 1900.0),
+        Shape("transient", 700.0, 1900.0),
         Shape("periodic", 130.0, 900.0, 0.3),
         Shape("periodic", 2230.0, 900.0, 0.3, into_s=100.0),
         Shape("pulse", 400.0, 250.0),
@@ -140,7 +140,7 @@ def test_a_record_of_a_few_blocks_has_no_room_for_an_interval(
     record = brisk.record(hours * 3600.0 / HOUR)
     coarse = Columns(*(np.ascontiguousarray(x[every]) for x in (record.time_s, record.inputs, record.measured)))
     found = diagnose(brisk.network, coarse, brisk_healthy)
-    assert all(e.shape != "spell" for e in found.effects)
+    assert all(e.shape != "transient" for e in found.effects)
 
 
 def test_a_reading_that_follows_heater_power_is_named_and_adopted(pair: Bench, pair_healthy: Columns) -> None:
@@ -159,7 +159,7 @@ def test_a_reading_that_follows_heater_power_is_named_and_adopted(pair: Bench, p
 def test_heat_that_came_and_went_is_named_with_both_ends(pair: Bench, pair_healthy: Columns) -> None:
     record = heated(pair, lambda t: 80.0 * ((t > 5.0 * HOUR) & (t < 8.0 * HOUR)))
     effect = only(diagnose(pair.network, record, pair_healthy))
-    assert (effect.kind, effect.where, effect.shape) == ("heat_source", "tank", "spell")
+    assert (effect.kind, effect.where, effect.shape) == ("heat_source", "tank", "transient")
     assert effect.value == pytest.approx(80.0, rel=0.02)
     assert (effect.onset_s, effect.growth_s) == pytest.approx((5.0 * HOUR, 3.0 * HOUR), abs=HOUR / 30)
 
@@ -221,7 +221,7 @@ def test_a_thermometer_that_sticks_is_told_with_its_level(
     measured[first:last, j] = level + noise
     found = diagnose(brisk.network, replace(record, measured=measured), brisk_healthy)
     effect = only(found)
-    assert (effect.kind, effect.where, effect.unit, effect.shape) == ("sensor", sensor, "1", "spell")
+    assert (effect.kind, effect.where, effect.unit, effect.shape) == ("sensor", sensor, "1", "transient")
     assert effect.value == pytest.approx(1.0, abs=0.05) and effect.onset_s == pytest.approx(since_h * HOUR, abs=60.0)
     told = re.search(rf"{sensor} sticks at ([0-9.]+) degC", found.summary)
     assert told is not None and float(told[1]) == pytest.approx(level, abs=0.1) == effect.level

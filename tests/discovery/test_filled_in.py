@@ -61,7 +61,7 @@ def entry_of(candidate: Candidate, shape: Shape, size: float) -> Entry:
     return Entry(CandidateLaw(candidate, None, None), shape, np.empty(0), size, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("name", ["spell", "pulse"])
+@pytest.mark.parametrize("name", ["transient", "pulse"])
 def test_what_is_soon_over_is_simulated_the_same_alone_and_beside_others(bench: Bench, name: str) -> None:
     """Fits try several times side by side; what is found so has to hold when it is simulated alone."""
     time, inputs = bench.inputs(3.0, 1)

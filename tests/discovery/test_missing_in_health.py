@@ -174,7 +174,7 @@ def test_an_open_law_of_the_size_that_it_has_in_health_joins_what_is_known(bench
     for health, is_usual in ((other.record(10.0, seed=7), True), (bench.record(10.0, seed=7), False)):
         known, part = known_of(bench, health, other.record(10.0, seed=4))
         says = "gives off {value} while heater power is above 740"
-        (warms,) = (one for one in part.opened if one.candidate.where == "tank" and one.candidate.says == says)
+        (warms,) = (one for one in part.open_candidates if one.candidate.where == "tank" and one.candidate.says == says)
         begun = Entry(warms, Shape("step", 0.0), np.empty(0), 15.0, 0.5, 0.0).refreshed(part.score_test)
         more = with_usual(known, [replace(begun, size=15.0, sd=0.5)])
         assert (more is not known) is is_usual

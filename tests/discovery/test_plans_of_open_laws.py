@@ -26,7 +26,9 @@ def part(bench: Bench, healthy: Columns) -> Part:
 
 def planned(part: Part, site: str, size: float) -> tuple[Array, Array]:
     """Return readings (n, m) of half an hour as planned, less those without the law, and the law's values (n,)."""
-    law = next(law for law in part.opened if law.site.name == site and law.candidate.adopts["form"] == "linear")
+    law = next(
+        law for law in part.open_candidates if law.site.name == site and law.candidate.adopts["form"] == "linear"
+    )
     entry = Entry(law, Shape("step", 0.0), np.empty(0), size, 1.0, 0.0)
     ((plain, _),) = fitted(part, [()], 1)
     known, rows = part.basis, slice(0, 60)

@@ -67,7 +67,7 @@ def test_a_lesser_mass_is_told_beside_heat(pair: Bench, pair_healthy: Columns, m
     record = heat_then_mass(pair, 3.0, mass_h)
     grid = on_grid(pair.network, record.time_s, record.inputs, record.measured)
     split_search = SplitSearch.of(pair.network, record, basis(pair.network, pair_healthy, grid), grid, lambda _: None)
-    told = searched(split_search.part(grid.part(0, int(0.75 * len(grid.time))))).told
+    told = searched(split_search.part(grid.part(0, int(0.75 * len(grid.time))))).reported
     assert told is not None
     assert {(e.candidate.kind, e.candidate.where) for e in told.entries} == {
         ("heat_source", "modules"),
@@ -94,7 +94,7 @@ def test_a_hose_of_some_litres_is_found_though_its_score_promises_nothing(
     record = brisk.record(16.0, seed=6, changed=hose, onset_h=onset_h)
     grid = on_grid(brisk.network, record.time_s, record.inputs, record.measured)
     known = basis(brisk.network, brisk_healthy, grid, sample_period(record.time_s))
-    found = searched(SplitSearch.of(brisk.network, record, known, grid, lambda _: None).part(grid)).told
+    found = searched(SplitSearch.of(brisk.network, record, known, grid, lambda _: None).part(grid)).reported
     assert found is not None
     (entry,) = found.entries
     assert (entry.candidate.kind, entry.candidate.where) == ("delay", "modules")
@@ -108,7 +108,7 @@ def test_much_of_a_bypass_is_tried_whatever_a_little_of_it_explains(pair: Bench,
     record = pair.record(12.0, seed=3, changed=much, onset_h=5.0)
     grid = on_grid(pair.network, record.time_s, record.inputs, record.measured)
     part = Part.of(basis(pair.network, pair_healthy, grid, sample_period(record.time_s)), grid)
-    at_modules = [(law, e) for law, e in part.bent if law.candidate.where == "modules"]
+    at_modules = [(law, e) for law, e in part.large_losses if law.candidate.where == "modules"]
     assert [e.size for _, e in at_modules] == pytest.approx([0.5, 0.9])
     by_simulation = max(gains(part, [e for _, e in at_modules]))
     assert by_simulation > 1.1 * max(e.gain for _, e in at_modules)

@@ -94,7 +94,7 @@ def test_a_thermometer_beside_something_else_does_not_explain_it_away(pair: Benc
     assert found.verdict == "effect found"
     error, heat = found.effects
     assert (error.kind, error.where) == ("sensor", "T_pm3_C") and error.value == pytest.approx(2.0, rel=0.1)
-    assert (heat.kind, heat.where, heat.shape) == ("heat_source", "tank", "spell")
+    assert (heat.kind, heat.where, heat.shape) == ("heat_source", "tank", "transient")
     assert found.summary.startswith("T_pm3_C reads") and "Beside that: " in found.summary
 
 

@@ -26,7 +26,7 @@ def test_water_that_flows_less_for_a_time_is_named_with_its_end(brisk: Bench, br
     found = diagnose(brisk.network, less, brisk_healthy)
     assert found.verdict in ("effect found", "ambiguous") and found.network is None
     (gone,) = found.effects
-    assert (gone.kind, gone.where, gone.driver, gone.shape) == ("flow", "loop", "constant", "spell")
+    assert (gone.kind, gone.where, gone.driver, gone.shape) == ("flow", "loop", "constant", "transient")
     assert gone.value == pytest.approx(share - 1.0, rel=0.05)
     assert gone.onset_s == pytest.approx(4.0 * HOUR, abs=HOUR / 12)
     assert gone.growth_s == pytest.approx(4.0 * HOUR, abs=HOUR / 12)

@@ -93,7 +93,7 @@ def test_undeclared_heat_is_found_added_and_the_twin_is_right_again(runs: dict[s
     again = typed("diagnose", record, "--twin", twin.with_name("rig.r2.toml"), "--dry", "--json")
     assert again.returncode == 1, again.stderr
     (effect,) = json.loads(again.stdout)["effects"]
-    assert (effect["kind"], effect["where"], effect["shape"]) == ("heat_source", "modules", "spell")
+    assert (effect["kind"], effect["where"], effect["shape"]) == ("heat_source", "modules", "transient")
     assert effect["onset_s"] == 0.0
     assert effect["value"] == pytest.approx(-150.0, rel=0.08)
     # And it can be undone.

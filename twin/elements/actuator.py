@@ -151,7 +151,7 @@ def _faults(column: str, name: str, now: Mapping[str, float], full: float) -> li
             "delivers {share} more than its command"
             if gain == 1.0
             else f"delivers {{share}} more of its command than the {100.0 * gain:.3g} % that the twin has",
-            bends=-gain if unit == "pct" else 0.0,
+            total_loss=-gain if unit == "pct" else 0.0,
         ),
         Candidate(
             "actuator",

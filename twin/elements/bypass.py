@@ -53,7 +53,7 @@ class Bypass(Element):
                 "is bypassed by {value}",
                 adds={name: {"kind": cls.kind, "around": list(nodes)}},
                 exhausts=True,
-                bends=1.0,
+                total_loss=1.0,
             )
             for place, nodes in around
             if nodes not in having and (name := f"bypass_of_{nodes[0]}" if len(nodes) == 1 else f"bypass_of_{place}")
@@ -67,7 +67,7 @@ class Bypass(Element):
         fraction = self.parameter_candidate(
             "fraction", "flow", where, "constant", EffectSize("of the flow", 0.05, -now, 1.0 - now), says
         )
-        fraction = replace(fraction, exhausts=True, bends=1.0 - now)
+        fraction = replace(fraction, exhausts=True, total_loss=1.0 - now)
         return (fraction if now else replace(fraction, change="new"),)
 
     def emit(self, n: Names) -> Fragment:

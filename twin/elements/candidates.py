@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 LASTING = ("step", "ramp", "saturating")
 """Time courses of effects that last: at once, growing in proportion to time, or growing to a final size."""
-TRANSIENT = ("spell", "periodic", "pulse")
+INTERMITTENT = ("transient", "periodic", "pulse")
 """Time courses of transient effects: one that ends, one that returns periodically, and one that fades."""
 
 
@@ -38,7 +38,7 @@ class Candidate:
         Element -> keys of its table that differ.
     exhausts
         True if `upper` is all that there is, such as the water of a volume: a size may end there.
-    bends
+    total_loss
         Size at which all of a flow is lost, or 0 for other laws. Much of such a loss acts otherwise than a little: a
         volume cut off from its water is not only warmer, but slower. It is tried whatever a little of it explains.
     shapes
@@ -75,8 +75,8 @@ class Candidate:
     replaces: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     inverse: bool = False
     exhausts: bool = False
-    bends: float = 0.0
-    shapes: tuple[str, ...] = (*LASTING, *TRANSIENT)
+    total_loss: float = 0.0
+    shapes: tuple[str, ...] = (*LASTING, *INTERMITTENT)
     lumped: float = 0.0
     near: Callable[[], tuple[Candidate, ...]] | None = None
     at_level: Callable[[float], Candidate] | None = None
@@ -123,7 +123,7 @@ class Candidate:
     @property
     def is_event(self) -> bool:
         """Return True for an event, such as a refill, which is always transient."""
-        return self.shapes == TRANSIENT
+        return self.shapes == INTERMITTENT
 
     @cached_property
     def id(self) -> str:

@@ -109,7 +109,7 @@ class Flow(Element):
             EffectSize("of the nominal flow", 0.03, -now, 1.0),
             "carries {value} more than when commissioned",
         )
-        return (replace(candidate, bends=-now),)
+        return (replace(candidate, total_loss=-now),)
 
     def emit(self, n: Names) -> Fragment:
         flow, mcp = n.local("q"), n.local("mcp")

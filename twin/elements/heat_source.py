@@ -27,7 +27,7 @@ from functools import partial
 from typing import ClassVar
 
 from twin.elements.base import Element, Names, ParameterSpec, place
-from twin.elements.candidates import TRANSIENT, Candidate, EffectSize, Sites
+from twin.elements.candidates import INTERMITTENT, Candidate, EffectSize, Sites
 from twin.elements.fragments import Export, Fragment
 
 LAWS = ("proportional", "linear", "squared", "cubed", "daily", "daylight")
@@ -258,7 +258,7 @@ class HeatSource(Element):
 
 def _passing(constant: Candidate) -> Candidate:
     """Return the candidate of heat that comes in for a time, which may bring in a minute what is usual in an hour."""
-    return replace(constant, typical=60.0 * constant.typical, lower=0.0, upper=MOST_EVENT_W, shapes=TRANSIENT)
+    return replace(constant, typical=60.0 * constant.typical, lower=0.0, upper=MOST_EVENT_W, shapes=INTERMITTENT)
 
 
 _UNKNOWN = "gives off {value} that the twin does not know of"

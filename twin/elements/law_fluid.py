@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from twin.elements.base import Names, ParameterSpec, place
-from twin.elements.candidates import TRANSIENT, Candidate, Sites
+from twin.elements.candidates import INTERMITTENT, Candidate, Sites
 from twin.elements.fragments import Fragment
 from twin.elements.law import Law
 
@@ -49,7 +49,7 @@ class LawFluid(Law):
                 MOST_FILLING,
                 f"gets {{value}} of {word} water (of {temperature:.0f} degC, or more of less {word} water{otherwise})",
                 adds={name: {"kind": cls.kind, "node": node, "temperature": temperature}},
-                shapes=TRANSIENT,
+                shapes=INTERMITTENT,
             )
             for node in sites.nodes
             if node in wet

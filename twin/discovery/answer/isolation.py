@@ -33,8 +33,8 @@ def isolated_effects(finding: Finding, grid: Grid) -> tuple[Verdict, tuple[Effec
     assert finding.fit is not None
     sure = [posterior_share(e, finding.ranked) for e in finding.entries]
     # What is likelier beforehand alone is not named alone: the record itself has to say so.
-    told_apart = min(log_bayes_lead(e, finding.ranked) for e in finding.entries) >= math.log(SURE / (1.0 - SURE))
-    verdict: Verdict = "effect found" if min(sure) >= SURE and told_apart else "ambiguous"
+    distinguished = min(log_bayes_lead(e, finding.ranked) for e in finding.entries) >= math.log(SURE / (1.0 - SURE))
+    verdict: Verdict = "effect found" if min(sure) >= SURE and distinguished else "ambiguous"
     return verdict, tuple(_effect(e, finding, s, grid) for e, s in zip(finding.fit.entries, sure, strict=True))
 
 

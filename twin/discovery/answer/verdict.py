@@ -39,7 +39,7 @@ from twin.discovery.records.grid import Grid, centred
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.refit.model import Model
 from twin.discovery.thermometers.faulty_thermometers import attributed, stuck_effects
-from twin.elements.candidates import TRANSIENT
+from twin.elements.candidates import INTERMITTENT
 from twin.network import Array, Network
 
 _TOO_LITTLE = (
@@ -227,7 +227,7 @@ def _named(case: AssessedFinding) -> Answer:
     alternatives = tuple(a for a in alternatives if (a.kind, a.where, a.driver) not in same)
     switches = switched(finding, grid, float(grid.time[0]))
     notes = (*_at_one_moment(case), *(says for _, says in switches))
-    passing = any(e.shape.name in TRANSIENT for e in finding.fit.entries)
+    passing = any(e.shape.name in INTERMITTENT for e in finding.fit.entries)
     if passing:
         notes += ("an effect that ends, comes back or fades is named and not added to the twin",)
     return Answer(

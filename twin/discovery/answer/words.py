@@ -42,7 +42,7 @@ def sentence(entry: Entry, start: float = 0.0, grown: float = 1.0, spread: float
         return f"{text} by the end, having grown steadily {since}{until}"
     if entry.shape.name == "saturating":
         return f"{text} by the end, growing {since} with a time constant of {clock(entry.shape.growth_s)}"
-    if entry.shape.name == "spell":
+    if entry.shape.name == "transient":
         first, length_s = start + entry.shape.onset_s, entry.shape.growth_s
         if length_s < SHORT_S:
             return f"{text}, at {clock(first)} for {lasting(length_s)}, and no longer{_in_all(entry)}"
@@ -118,7 +118,7 @@ def summarise(
             return "The twin does not fit this record and no single place explains it." + fit_text
         u = next((e for e in effects if e.kind == "unknown"), effects[0])
         beside = "".join(f"{e.says}. " for e in effects if e is not u and e.says)
-        if u.shape == "spell":
+        if u.shape == "transient":
             return f"{beside}{u.says}.{spoken(description)} No known effect explains it, so nothing is adopted."
         since = u.onset_s if description.get("onset_s") else None
         entered = disturbance_statement(u.where, u.value, u.unit, u.interval90, since, average=True)

@@ -24,7 +24,7 @@ BEYOND = 1.5
 
 @dataclass(frozen=True)
 class Shape:
-    """Time course: `name` step, ramp, saturating, put in, or a transient one (`twin.elements.candidates.TRANSIENT`).
+    """Time course: `name` step, ramp, saturating, put in, or a transient one (`twin.elements.candidates.INTERMITTENT`).
 
     `onset_s` is from the record's beginning, s.
 
@@ -67,7 +67,7 @@ class Shape:
         Its later end is not identifiable from the record, and one exactly at the record's end is improbable. The size
         of a ramp then grows in proportion to its duration.
         """
-        if self.name == "spell" and not self.free(span_s):
+        if self.name == "transient" and not self.free(span_s):
             return Shape("step", self.onset_s)
         if self.name != "ramp" or self.free(span_s):
             return self
@@ -77,7 +77,7 @@ class Shape:
         """Return True if growth time and size are separately identifiable from a record of `span_s`: not those of an
         unended ramp.
         """
-        if self.name == "spell":
+        if self.name == "transient":
             return self.onset_s + self.growth_s < 0.98 * span_s
         return self.name in ("saturating", "periodic", "pulse") or (
             self.name == "ramp" and self.onset_s + self.growth_s < 0.98 * span_s
@@ -112,7 +112,7 @@ def _integrals(name: str, t: Array, growth: Array, duty: Array) -> Array:
     """Return the integrals (n, t) of the amplitude of shapes of one name from their onsets to `t`, s since then."""
     if name == "step":
         return t
-    if name == "spell":
+    if name == "transient":
         return np.asarray(np.minimum(t, growth))
     if name == "periodic":
         on, turns = duty * growth, np.floor(t / growth)

@@ -74,14 +74,16 @@ class Found:
         claim needs the odds of a claim, and more misfit than noise alone has (`expected`, per block and sensor).
         """
         own = {place_of(e.candidate) for e in best.entries}
-        told = best.fit is not None and best.fit.chi <= expected
+        explained = best.fit is not None and best.fit.chi <= expected
         odds = [
-            odds - (CLAIM if at in own else 0.0) for at, odds in self.unlisted_at.items() if not told or at not in own
+            odds - (CLAIM if at in own else 0.0)
+            for at, odds in self.unlisted_at.items()
+            if not explained or at not in own
         ]
         return logsumexp(np.array(odds)) if odds else -math.inf
 
     @property
-    def told(self) -> Hypothesis | None:
+    def reported(self) -> Hypothesis | None:
         """Return the likeliest fitted hypothesis without effects that add less than `CLAIM` to its log odds.
 
         More effects that leave more misfit than fewer do owe their odds to errors of their forms alone.
@@ -103,9 +105,9 @@ def class_of(entry: Entry) -> Class:
 class Prior:
     """Prior of single effects: a fault, its class, its law in the class; named laws have most of a class."""
 
-    def __init__(self, named: Iterable[CandidateLaw], opened: Iterable[CandidateLaw] = ()) -> None:
+    def __init__(self, named: Iterable[CandidateLaw], open_candidates: Iterable[CandidateLaw] = ()) -> None:
         self._each: tuple[dict[Class, float], dict[Class, float]] = ({}, {})
-        for weights, laws in zip(self._each, (named, opened), strict=True):
+        for weights, laws in zip(self._each, (named, open_candidates), strict=True):
             for law in laws:
                 place = law.candidate.kind, law.candidate.where
                 weights[place] = weights.get(place, 0.0) + law_weight(law.candidate)

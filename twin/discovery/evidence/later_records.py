@@ -44,9 +44,9 @@ def reranked(finding: Finding, first: Part, later: Sequence[Part]) -> tuple[Find
     shares = np.exp(odds - odds.max())
     shares /= shares.sum()
     order = np.argsort(-odds)
-    told_later = [0.5 * (r.fit.total - w.fit.total) for r, w in zip(finding.ranked, each, strict=True)]
+    evidence_later = [0.5 * (r.fit.total - w.fit.total) for r, w in zip(finding.ranked, each, strict=True)]
     ranked = tuple(
-        Ranked(each[i].fit, -2.0 * float(odds[i]), float(shares[i]), finding.ranked[i].log_bayes + told_later[i])
+        Ranked(each[i].fit, -2.0 * float(odds[i]), float(shares[i]), finding.ranked[i].log_bayes + evidence_later[i])
         for i in order
     )
     at = int(order[0])
@@ -60,8 +60,8 @@ def reranked(finding: Finding, first: Part, later: Sequence[Part]) -> tuple[Find
     same = at == 0
     folds = finding.folds if same else validate(first.score_test, Model.of(first.basis.probe, best.entries), best)
     first.reset()
-    told = finding.fit if same else best
-    return replace(finding, ranked=ranked, fit=told, entries=best.entries, folds=folds), tuple(notes)
+    reported = finding.fit if same else best
+    return replace(finding, ranked=ranked, fit=reported, entries=best.entries, folds=folds), tuple(notes)
 
 
 @dataclass(frozen=True)

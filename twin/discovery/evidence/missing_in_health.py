@@ -25,7 +25,7 @@ from twin.discovery.evidence.marginal import Joint, joint, log_widths, widths
 from twin.discovery.evidence.part import Part
 from twin.discovery.evidence.priors import CLAIM, FAULT, FORM_ERRORS, MISSING_IN_HEALTH, SPREAD
 from twin.discovery.evidence.scan import scan
-from twin.discovery.evidence.search import late_ones, leading, log_odds_unlisted
+from twin.discovery.evidence.search import leading, log_odds_unlisted, with_nonlinear
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.healthy.law_amplitudes import Amplitudes, HealthyResidual, MissingInHealth
 from twin.discovery.refit.fitting import Fit
@@ -121,7 +121,7 @@ def with_missing(part: Part) -> Basis:
     likeliest, beside = _possible(columns, begun, amounts.candidates)
     if beside <= odds + CLAIM:
         likeliest = alone
-    if all(i < count for i in likeliest) or odds < _odds_of_late(part, prior):
+    if all(i < count for i in likeliest) or odds < _odds_of_nonlinear(part, prior):
         return known
     return _joined(known, known.structure, columns, amounts, likeliest)
 
@@ -144,7 +144,7 @@ def with_missing_beside(part: Part, fit: Fit, further: Sequence[Entry]) -> Basis
         amounts = amounts.with_unknown([c for c in candidates if not c.is_open])
     if not amounts.candidates:
         return known
-    prior, score_test = Prior([*part.laws, *part.opened]), copy.copy(part.score_test)
+    prior, score_test = Prior([*part.laws, *part.open_candidates]), copy.copy(part.score_test)
     score_test.take(fit.residual, fit.moved)
     beside = joint(score_test, tuple(e.refreshed(score_test) for e in fit.entries))
     columns, count = _columns_of(part, score_test, further, amounts, prior, beside), len(further)
@@ -165,9 +165,9 @@ def _joined(
     missing = tuple(amounts.candidates[i] for i in which)
     structure = structure.with_laws(missing, covariance @ columns.pull[at], covariance, amounts.moves[:, which])
     sizes = columns.sizes(likeliest)[[likeliest.index(i) for i in at]]
-    told = known.missing or MissingInHealth((), np.zeros(0))
-    told = MissingInHealth((*told.candidates, *missing), np.concatenate([told.sizes, sizes]))
-    return replace(known, structure=structure, missing=told)
+    before = known.missing or MissingInHealth((), np.zeros(0))
+    all_missing = MissingInHealth((*before.candidates, *missing), np.concatenate([before.sizes, sizes]))
+    return replace(known, structure=structure, missing=all_missing)
 
 
 def _possible(
@@ -235,8 +235,8 @@ def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:
             structure, law = known.structure, (entry.candidate,)
             assert structure is not None
             structure = structure.with_laws(law, np.array([mean]), np.array([[variance]]), amounts.moves)
-            told = missing or MissingInHealth((), np.zeros(0))
-            missing = MissingInHealth((*told.candidates, *law), np.append(told.sizes, entry.size))
+            earlier = missing or MissingInHealth((), np.zeros(0))
+            missing = MissingInHealth((*earlier.candidates, *law), np.append(earlier.sizes, entry.size))
             known = replace(known, structure=structure, missing=missing)
     return known
 
@@ -244,14 +244,14 @@ def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:
 def _amounts_of(known: Basis, health: HealthyResidual, candidates: Sequence[Candidate]) -> Amplitudes:
     """Return the amplitudes of laws in the healthy record; none where the twin then lacked what they are made of."""
     ids, book, network = known.probe.scaling.ids, health.book, known.probe.network
-    named, opened = ([c for c in candidates if c.is_open is is_open] for is_open in (False, True))
+    named, open_candidates = ([c for c in candidates if c.is_open is is_open] for is_open in (False, True))
     if known.earlier is not None:
         return health.amplitudes(named, ids)
     laws = book.laws(health.grid, health.run, tuple(named)) if named else []
-    if opened:
+    if open_candidates:
         here = temperatures(network, health.grid, health.run)
         every = open_laws(network, health.grid, book.laws(health.grid, health.run), here)
-        laws = [*laws, *laws_of(network, opened, every, health.grid, here)]
+        laws = [*laws, *laws_of(network, open_candidates, every, health.grid, here)]
     return health.amplitudes_of(laws, ids)
 
 
@@ -299,10 +299,10 @@ def _columns_of(
     return columns
 
 
-def _odds_of_late(part: Part, prior: Prior) -> float:
+def _odds_of_nonlinear(part: Part, prior: Prior) -> float:
     """Return the log odds of the likeliest lag or delay once fitted; its linear estimate is too small."""
     part.reset()
-    found = late_ones(part, [], prior, part.score_test.misfit)
+    found = with_nonlinear(part, [], prior, part.score_test.misfit)
     part.reset()
     return max((h.odds for h in found), default=-math.inf)
 

@@ -46,7 +46,7 @@ offset."""
 MUCH, APART, SIZES = 4.0, 4.0, 3
 """Sizes at which the fit of a lag or delay may begin, in typical ones: the least, their ratio, and how many. For the
 lag of an actuator they are 4 min, 16 min and an hour, its upper bound."""
-BENT = (0.5, 0.9)
+LARGE_LOSSES = (0.5, 0.9)
 """Shares of a flow with whose loss a fit may begin: without half of it a volume is twice as slow, without nine tenths
 ten times."""
 DEAD_APART_S = 150.0
@@ -76,8 +76,8 @@ class Part:
         every += [law for only in (book.put_in, book.events, levelled) for law in book.laws(grid, run, only)]
         assumed = known.assumed(grid)
         found = [law for law in every if law.candidate.where not in assumed]
-        told = [*found, *_missing(known, grid, run, found)]
-        return cls(known, grid, state, run, known.score_test(grid, state, run, told), found)
+        laws = [*found, *_missing(known, grid, run, found)]
+        return cls(known, grid, state, run, known.score_test(grid, state, run, laws), found)
 
     def add(self, candidates: tuple[Candidate, ...]) -> None:
         """Add further candidates to the search."""
@@ -90,8 +90,8 @@ class Part:
         known = {law.candidate.id for law in self.laws}
         further = {c.id: c for c in candidates if c.id not in known}
         named = tuple(c for c in further.values() if not c.is_open)
-        opened = laws_of(self.basis.probe.network, further.values(), self.opened, self.grid, self._known)
-        self.laws = [*self.laws, *self.basis.book.laws(self.grid, self.run, named), *opened]
+        others = laws_of(self.basis.probe.network, further.values(), self.open_candidates, self.grid, self._known)
+        self.laws = [*self.laws, *self.basis.book.laws(self.grid, self.run, named), *others]
 
     @cached_property
     def scanned(self) -> list[Entry]:
@@ -104,7 +104,7 @@ class Part:
         return courses(self.score_test, sites_of(self.basis.probe.network, self.score_test, self.laws), SPREAD)
 
     @cached_property
-    def opened(self) -> list[OpenLaw]:
+    def open_candidates(self) -> list[OpenLaw]:
         """Return the open laws: any input or temperature as driver, at every site."""
         return open_laws(self.basis.probe.network, self.grid, self.laws, self._known)
 
@@ -148,29 +148,29 @@ class Part:
         return [*best.values()]
 
     @cached_property
-    def bent(self) -> list[tuple[CandidateLaw, Entry]]:
+    def large_losses(self) -> list[tuple[CandidateLaw, Entry]]:
         """Return losses of most of a flow, which act otherwise than those of a little, with their likeliest onset."""
         best: dict[str, Entry] = {}
         for entry in self.scanned:
-            if entry.candidate.bends and entry.shape.name == "step":
+            if entry.candidate.total_loss and entry.shape.name == "step":
                 best.setdefault(entry.candidate.id, entry)
-        every = [replace(e, size=share * e.candidate.bends) for e in best.values() for share in BENT]
+        every = [replace(e, size=share * e.candidate.total_loss) for e in best.values() for share in LARGE_LOSSES]
         return [(e.law, e) for e in every if e.candidate.lower <= e.size <= e.candidate.upper]
 
-    def late(self, onset_s: float) -> list[Entry]:
+    def nonlinear_starts(self, onset_s: float) -> list[Entry]:
         """Return the lags and delays at the size of highest evidence: from the beginning, from an onset, and from the
         onset of their own evidence.
 
         What leads the search so far may be of another kind, and its onset is none of theirs.
         """
         found = []
-        for law, entry in (*self.secants, *self.bent):
+        for law, entry in (*self.secants, *self.large_losses):
             own = entry.shape.onset_s
             apart = abs(own - onset_s) > self.score_test.step_s
             for since in {0.0, *(s for s in (onset_s, own if apart else onset_s) if s > EARLY_S)}:
                 if since == 0.0 and math.isinf(law.candidate.lumped):
                     continue  # indistinguishable from the lag that a twin of mixed volumes lacks
-                size = entry.size if law.candidate.bends else entry.candidate.typical
+                size = entry.size if law.candidate.total_loss else entry.candidate.typical
                 begun = Entry(law, Shape("step", since), np.empty(0), size, 0.0, 0.0)
                 found.append(begun.refreshed(self.score_test))
         return found

@@ -25,7 +25,7 @@ from twin.discovery.evidence.priors import ALL_ALONG, AT_ONCE, SPREAD
 from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE, Courses, LawSquares, returning, rows_by_name
-from twin.elements.candidates import TRANSIENT, Candidate
+from twin.elements.candidates import INTERMITTENT, Candidate
 from twin.network import Array
 
 STEADY = ("constant", "temperature_difference")
@@ -115,7 +115,7 @@ def may_end(candidate: Candidate) -> bool:
     another.
     """
     tried = candidate.driver in STEADY or candidate.sticks
-    return not set(TRANSIENT).isdisjoint(candidate.shapes) and not candidate.begins and tried
+    return not set(INTERMITTENT).isdisjoint(candidate.shapes) and not candidate.begins and tried
 
 
 def refined(score_test: ScoreTest, entry: Entry, beside: Joint | None = None) -> Entry:
@@ -142,10 +142,10 @@ def refined(score_test: ScoreTest, entry: Entry, beside: Joint | None = None) ->
         # A scan knows the turn with which it began within an eighth of the record.
         turns_s = np.arange(shape.onset_s % shape.growth_s, LAST_SHARE * edges_s[-1], shape.growth_s)
         best, size, bottom, shape, course = at([replace(shape, onset_s=float(t)) for t in turns_s])
-    reach = score_test.step_s if shape.onset_s > 0.0 or shape.name in TRANSIENT else 0.0
+    reach = score_test.step_s if shape.onset_s > 0.0 or shape.name in INTERMITTENT else 0.0
     while reach >= NEAREST_S:
         tried = [replace(shape, onset_s=shape.onset_s + d) for d in (-reach, reach)]
-        if shape.name == "spell":
+        if shape.name == "transient":
             tried += [replace(s, growth_s=s.growth_s + d) for s in (shape, *tried) for d in (-reach, reach)]
         elif shape.name == "periodic":
             turns = max(edges_s[-1] / shape.growth_s, 1.0)
@@ -171,9 +171,9 @@ def refined(score_test: ScoreTest, entry: Entry, beside: Joint | None = None) ->
             for s in tried
             if 0.0 <= s.onset_s <= LAST_SHARE * edges_s[-1]
             and 0.0 <= s.into_s <= s.duty * s.growth_s
-            and (s.name not in TRANSIENT or s.growth_s > NEAREST_S)
+            and (s.name not in INTERMITTENT or s.growth_s > NEAREST_S)
             and (s.name != "pulse" or s.onset_s > EARLY_S)
-            and (s.name != "spell" or s.onset_s >= score_test.step_s or s.onset_s + s.growth_s > EARLY_S)
+            and (s.name != "transient" or s.onset_s >= score_test.step_s or s.onset_s + s.growth_s > EARLY_S)
         ]
         found = at(tried) if tried else None
         if found is not None and found[0] > best:
@@ -237,7 +237,7 @@ def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns
         bottom = np.stack(returns) - _squares(taken, courses.returns)
         grams = [gram - t.T @ t for gram, t in zip(own, taken, strict=True)]
         for law, q, score, gram in zip(laws, squares, scores, grams, strict=True):
-            out += _spells(score_test, law, q.blocks, score, gram, rest)
+            out += _transients(score_test, law, q.blocks, score, gram, rest)
         for shapes, rows in courses.by_name:
             least_rows = np.maximum(bottom[:, rows], least)
             if shapes[0].name != "periodic":
@@ -351,7 +351,7 @@ def _begun(shape: Shape, since_s: float) -> Shape:
     return replace(shape, onset_s=shape.onset_s + turns * shape.growth_s)
 
 
-def _spells(
+def _transients(
     score_test: ScoreTest, law: CandidateLaw, blocks: Array, score: Array, gram: Array, rest: float
 ) -> list[Entry]:
     """Return the likeliest transient of a law, of two blocks or more, that ends two blocks before the record."""
@@ -371,7 +371,7 @@ def _spells(
     k = int(np.argmax(odds))
     total = logsumexp(odds) + rest - math.log(count)
     block_s = score_test.step_s
-    shape = Shape("spell", first[k] * block_s, (last[k] - first[k]) * block_s)
+    shape = Shape("transient", first[k] * block_s, (last[k] - first[k]) * block_s)
     vector = blocks * shape.block_means(score_test.edges * score_test.grid.step_s)
     gain = float(size[k] ** 2 * bottom[k])
     return [

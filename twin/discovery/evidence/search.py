@@ -22,7 +22,7 @@ from twin.discovery.refit.fitting import AGAIN, Fit
 from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
-from twin.elements.candidates import TRANSIENT
+from twin.elements.candidates import INTERMITTENT
 
 LEADING = 24
 """Single effects that are tried as members of a pair; a prototype missed true pairs with five."""
@@ -46,7 +46,7 @@ apart; the first is repeated while it gains."""
 NEARER = (0.04, 0.02, 0.01, 0.005, 0.0025)
 """Shares by which the level of a limit is moved in turn; each is repeated while it gains. A judgement: from a third of
 the distance of two levels that are tried down to a form error."""
-NEARLY = 0.8
+NEARLY_EXPLAINED = 0.8
 """Share of the fall of the squares by an answer that leaves no more than noise, which a nonlinear effect has by one
 simulation before its fit. A judgement: a fit from a factor of two of the right size gains the rest."""
 BEGUN = 3
@@ -60,18 +60,18 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None, given: Seq
         given: effects that a shorter part showed; a longer one may hide an effect that is nonlinear in its size.
     """
     score_test = part.score_test
-    laws: list[CandidateLaw] = [*part.laws, *part.opened]
-    prior = Prior(part.laws, part.opened)
+    laws: list[CandidateLaw] = [*part.laws, *part.open_candidates]
+    prior = Prior(part.laws, part.open_candidates)
     part.reset()
     say("re-tuning")
     ((retuned, _),) = fitted(part, [()])
     part.reset()
     say("scanning by evidence")
-    scanned = sorted([*part.scanned, *scan(score_test, part.opened)], key=lambda e: -e.log_bayes)
+    scanned = sorted([*part.scanned, *scan(score_test, part.open_candidates)], key=lambda e: -e.log_bayes)
     first = [refined(score_test, e) for e in leading(scanned, prior)]
     level = sorted((_set(part, (e,), prior) for e in first), key=lambda h: -h.odds)
     misfit = score_test.misfit
-    found = [h for group in given if (h := carried(part, group, prior, misfit)) is not None]
+    found = [h for group in given if (h := refitted(part, group, prior, misfit)) is not None]
     for count in range(1, MOST_EFFECTS + 1):
         if not level or level[0].odds < (CLAIM if count > 1 else 0.0):
             break
@@ -79,7 +79,7 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None, given: Seq
         found = _fitted(part, found, level, misfit)
         explained = _explained(found, score_test)
         if count == 1:
-            found = late_ones(part, found, prior, misfit, NEARLY if explained else 0.0)
+            found = with_nonlinear(part, found, prior, misfit, NEARLY_EXPLAINED if explained else 0.0)
         if explained:
             # Many levels of a limit leave no more than noise, each with another share.
             limited = any(e.candidate.is_limit for e in found[0].entries)
@@ -98,12 +98,12 @@ def searched(part: Part, say: Callable[[str], None] = lambda _: None, given: Seq
     return Found(tuple(found), scanned, retuned, unlisted)
 
 
-def carried(part: Part, group: tuple[Entry, ...], prior: Prior, misfit: float) -> Hypothesis | None:
+def refitted(part: Part, group: tuple[Entry, ...], prior: Prior, misfit: float) -> Hypothesis | None:
     """Return effects that were found in another part of the record, fitted in this one; None if there are none."""
     if not group:
         return None
-    part.know(e.candidate for e in group if all(e.candidate.id != law.candidate.id for law in part.opened))
-    laws = {law.candidate.id: law for law in (*part.opened, *part.laws)}
+    part.know(e.candidate for e in group if all(e.candidate.id != law.candidate.id for law in part.open_candidates))
+    laws = {law.candidate.id: law for law in (*part.open_candidates, *part.laws)}
     entries = tuple(replace(e, law=laws[e.candidate.id]).refreshed(part.score_test) for e in group)
     ((fit, _),) = fitted(part, [entries])
     return replace(_with_fit(part, replace(_set(part, entries, prior), entries=entries), fit, misfit), settled=True)
@@ -123,7 +123,7 @@ def leading(entries: list[Entry], prior: Prior) -> list[Entry]:
     found: list[Entry] = []
     for entry in entries:
         claim = entry.label, entry.shape.name
-        if taken[claim] and entry.shape.name in TRANSIENT:
+        if taken[claim] and entry.shape.name in INTERMITTENT:
             continue
         # What changes twice resembles a law of some driver; by itself its own law may come behind those.
         steady = class_of(entry), entry.candidate.driver in STEADY
@@ -264,8 +264,10 @@ def _with_fit(part: Part, h: Hypothesis, fit: Fit, misfit: float) -> Hypothesis:
     )
 
 
-def late_ones(part: Part, found: list[Hypothesis], prior: Prior, misfit: float, least: float = 0.0) -> list[Hypothesis]:
-    """Return the hypotheses with lags, delays and what bends, which are nonlinear and fitted from a large size.
+def with_nonlinear(
+    part: Part, found: list[Hypothesis], prior: Prior, misfit: float, least: float = 0.0
+) -> list[Hypothesis]:
+    """Return the hypotheses with lags, delays and large losses of flow, fitted from a large size.
 
     Args:
         least: share of the likeliest one's fall of the squares that they have by a simulation before they are fitted.
@@ -273,9 +275,9 @@ def late_ones(part: Part, found: list[Hypothesis], prior: Prior, misfit: float, 
     first = found[0].fit if found else None
     onset = found[0].entries[0].shape.onset_s if found else 0.0
     # The fit of a lost flow from its linear size, which may be more than all, tells little.
-    known = {e.candidate.id for h in found if h.fit is not None for e in h.entries if not e.candidate.bends}
-    near = _promising(e for _, e in part.secants) + _promising(e for _, e in part.bent)
-    entries = [e for e in part.late(onset) if e.candidate.id not in known and class_of(e) in near]
+    known = {e.candidate.id for h in found if h.fit is not None for e in h.entries if not e.candidate.total_loss}
+    near = _promising(e for _, e in part.secants) + _promising(e for _, e in part.large_losses)
+    entries = [e for e in part.nonlinear_starts(onset) if e.candidate.id not in known and class_of(e) in near]
     gained = np.array(gains(part, entries))
     enough = least * (0.0 if first is None else misfit - first.total)
     lead = [i for i in np.argsort(-gained, kind="stable")[: 2 * FITTED] if gained[i] >= enough]
@@ -386,13 +388,13 @@ def log_odds_unlisted(part: Part) -> dict[Place, float]:
     return {place: logsumexp(np.array(found)) + share for place, found in at.items()}
 
 
-def ladder_of(part: Part, told: Hypothesis | None, scanned: Sequence[Entry]) -> tuple[Rung, ...]:
+def ladder_of(part: Part, reported: Hypothesis | None, scanned: Sequence[Entry]) -> tuple[Rung, ...]:
     """Return the misfit as commissioned and with the reported effects, each with the best next score."""
     score_test = part.score_test
     best = max((e.z for e in scanned[:LEADING]), default=0.0)
     rungs = [Rung("as commissioned", score_test.misfit / max(score_test.count, 1), best)]
-    if told is not None and told.fit is not None:
-        what = " + ".join(f"{e.candidate.kind} at {e.candidate.where}" for e in told.entries)
-        left = scan(score_test, part.laws, joint(score_test, _at_first_order(part, told)), transient=False)
-        rungs.append(Rung(what, told.fit.chi, max((e.z for e in left[:LEADING]), default=0.0)))
+    if reported is not None and reported.fit is not None:
+        what = " + ".join(f"{e.candidate.kind} at {e.candidate.where}" for e in reported.entries)
+        left = scan(score_test, part.laws, joint(score_test, _at_first_order(part, reported)), transient=False)
+        rungs.append(Rung(what, reported.fit.chi, max((e.z for e in left[:LEADING]), default=0.0)))
     return tuple(rungs)

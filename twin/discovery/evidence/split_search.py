@@ -22,7 +22,7 @@ from twin.discovery.evidence.missing_in_health import with_missing, with_missing
 from twin.discovery.evidence.part import Part, fitted, plainly, within_commands
 from twin.discovery.evidence.priors import CLAIM, COINCIDENT_SHARE, FAULT, SURE, UNLISTED
 from twin.discovery.evidence.scan import logsumexp, scan
-from twin.discovery.evidence.search import carried, ladder_of, log_odds_unlisted, searched
+from twin.discovery.evidence.search import ladder_of, log_odds_unlisted, refitted, searched
 from twin.discovery.healthy.basis import Basis, Columns
 from twin.discovery.records.grid import Grid
 from twin.discovery.refit.fitting import AGAIN, Fit
@@ -206,17 +206,17 @@ class SplitSearch:
         ((retuned, _),) = fitted(whole, [()])
         whole.reset()
         misfit = whole.score_test.misfit
-        told = carried(whole, finding.entries, Prior(whole.laws, whole.opened), misfit)
+        reported = refitted(whole, finding.entries, Prior(whole.laws, whole.open_candidates), misfit)
         nothing_odds = 0.5 * (misfit - retuned.total)
         unlisted = {at: odds - nothing_odds for at, odds in log_odds_unlisted(whole).items()}
         whole.reset()
-        if told is None:
+        if reported is None:
             return finding
-        told = replace(told, log_bayes=told.log_bayes - nothing_odds)
-        rival = Found((told,), [], retuned, unlisted).rival_of(told, whole.score_test.expected)
-        if rival <= max(told.odds, finding.claim):
+        reported = replace(reported, log_bayes=reported.log_bayes - nothing_odds)
+        rival = Found((reported,), [], retuned, unlisted).rival_of(reported, whole.score_test.expected)
+        if rival <= max(reported.odds, finding.claim):
             return finding
-        return replace(nothing(finding), odds=told.odds, unlisted=rival)
+        return replace(nothing(finding), odds=reported.odds, unlisted=rival)
 
     def _beside(self, finding: Finding, prior: Prior, claim: float) -> Entry | None:
         """Return the likeliest effect of the whole record in addition to those of a part of it, if its odds allow a
@@ -335,19 +335,19 @@ def finding_of(found: Found, part: Part, record_s: float, *, fewer: bool = False
         return finding
     assert best is not None and best.fit is not None
     # The effect that the data tell most surely is named first.
-    told = replace(best.fit, entries=tuple(sorted(best.fit.entries, key=lambda e: -abs(e.size) / max(e.sd, 1e-300))))
-    folds = validate(score_test, Model.of(part.basis.probe, told.entries), told)
+    fit = replace(best.fit, entries=tuple(sorted(best.fit.entries, key=lambda e: -abs(e.size) / max(e.sd, 1e-300))))
+    folds = validate(score_test, Model.of(part.basis.probe, fit.entries), fit)
     part.reset()
-    used = _as_used(told, part)
+    used = _as_used(fit, part)
     entries, grown = (
-        tuple(e.going_on(part.grid.span_s, record_s) for e in those) for those in (told.entries, used.entries)
+        tuple(e.going_on(part.grid.span_s, record_s) for e in those) for those in (fit.entries, used.entries)
     )
     return replace(finding, entries=entries, fit=replace(used, entries=grown), folds=folds)
 
 
 def _of_possible_sizes(found: Found) -> Hypothesis | None:
     """Return the likeliest hypothesis, or one without those of its effects whose sizes end on a bound."""
-    best = found.told
+    best = found.reported
     if best is None or not _on_a_bound(best):
         return best
     fewer = with_fewer_effects(best, found.hypotheses, -math.inf)

@@ -264,11 +264,11 @@ def _cuts(since: Array, shapes: set[Shape], piece: float) -> np.ndarray:
     sudden: set[float] = set()
     for shape in shapes:
         borders.add(min(shape.onset_s, float(since[-1])))
-        if shape.name == "spell":
+        if shape.name == "transient":
             borders.add(min(shape.onset_s + shape.growth_s, float(since[-1])))
-        if shape.name in ("step", "spell", "pulse"):
+        if shape.name in ("step", "transient", "pulse"):
             sudden.add(shape.onset_s)
-        if shape.name in ("spell", "pulse"):
+        if shape.name in ("transient", "pulse"):
             sudden.add(shape.onset_s + shape.growth_s)
         if shape.name == "periodic":
             first = shape.onset_s - shape.into_s

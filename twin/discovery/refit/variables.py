@@ -19,7 +19,7 @@ from twin.discovery.effects.shapes import Shape
 from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.discovery.scoring.sweep import LAST_SHARE
-from twin.elements.candidates import TRANSIENT
+from twin.elements.candidates import INTERMITTENT
 from twin.network import Array
 
 REACH = 1.0
@@ -127,7 +127,7 @@ class Variables:
         high[self.sizes] = [x.candidate.upper for x in self.entries] / self.reached
         low[self.onsets], high[self.onsets] = 0.0, LAST_SHARE * span_h
         shapes = [self.entries[i].shape for i in self.with_growth]
-        low[self.growths] = [np.log((grid.step_s if s.name in TRANSIENT else GROWN_S) / 3600.0) for s in shapes]
+        low[self.growths] = [np.log((grid.step_s if s.name in INTERMITTENT else GROWN_S) / 3600.0) for s in shapes]
         high[self.growths] = np.log(LONGEST_GROWTH * span_h)
         return low, high
 
@@ -152,7 +152,7 @@ class Variables:
             steps[place] = min(ONSET_STEP * step_s / moved_s, SHORT)
         for place, i in enumerate(self.with_onset, self.onsets.start):
             shape = self.entries[i].shape
-            if shape.name in ("spell", "pulse"):
+            if shape.name in ("transient", "pulse"):
                 # Its beginning and its end move the readings apart.
                 steps[place] = float(np.clip(SHORT * shape.growth_s / 3600.0, hours, ONSET_STEP * hours))
         return steps
@@ -171,7 +171,7 @@ class Variables:
         grid, found = score_test.grid, []
         for place, i in enumerate(self.with_growth, self.growths.start):
             shape = self.entries[i].shape
-            if shape.name in ("periodic", "spell"):
+            if shape.name in ("periodic", "transient"):
                 moved_s = grid.span_s if shape.name == "periodic" else shape.growth_s
                 found.append((place, max(moved_s, grid.step_s)))
         return found

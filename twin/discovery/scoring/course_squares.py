@@ -183,7 +183,7 @@ def _windows(
                 sums[window, j] -= 1.0
     widths = [shapes[those[0]].growth_s / count for those in groups]
     recurring = [Shape("periodic", k * w, count * w, 1.0 / count) for w in widths for k in range(count)]
-    single = [Shape("spell", k * w, w) for w in widths for k in range(early)]
+    single = [Shape("transient", k * w, w) for w in widths for k in range(early)]
     b, p = len(edges_s) - 1, len(groups)
     windows = np.ascontiguousarray(courses_of(recurring, edges_s).T).reshape(b, p, count)
     first = np.ascontiguousarray(courses_of(single, edges_s).T).reshape(b, p, early)

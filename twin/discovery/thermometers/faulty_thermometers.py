@@ -320,7 +320,7 @@ def _intermittent_fault(one: Members, deviation: Deviation, start: float) -> Eff
         interval90=(-deviation.size, deviation.size),
         onset_s=onset,
         onset_interval90_s=(onset, onset),
-        shape="spell",
+        shape="transient",
         confidence=1.0,
         z=deviation.z,
         evidence=f"the other thermometers of {one.sensor} agree with one another",
