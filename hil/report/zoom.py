@@ -45,9 +45,18 @@ def zoom_plot(
     unit: TimeUnit = SECONDS,
     limits: Sequence[LimitLine] = (),
 ) -> Html:
-    """Return a heading and a plot of curves over 0 to `end_s` s; the page needs `SCRIPT` and `PLOT_STYLE`.
+    """Return a heading and a plot of curves over time; the page needs `SCRIPT` and `PLOT_STYLE`.
 
-    Axis and readings of the time are in `unit`. `limits` are lines across the curves.
+    Parameters
+    ----------
+    title, curves
+        Heading, and curves with times in s.
+    end_s
+        End of the axis, s; it begins at 0.
+    unit
+        Unit of the axis and of readings of the time.
+    limits
+        Lines across the curves.
     """
     series = []
     for curve in curves:

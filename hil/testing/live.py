@@ -15,12 +15,12 @@ import numpy as np
 
 from drivers.signals import Signal
 from hil.testing.bound_limits import BoundLimit
-from hil.testing.judge import Judgement, holds_always, is_above, judge
+from hil.testing.judgement.judge import Judgement, holds_always, is_above, judge
+from hil.testing.judgement.verdicts import shown
 from hil.testing.limits import Bound, Compared, Follows, NoEffect, NoTrip, Settles, Trips, TwinError
 from hil.testing.plan import Plan
 from hil.testing.run_data import RunData
 from hil.testing.terminal import judgement_line
-from hil.testing.verdicts import shown
 
 _OPEN = 1e-6
 """Part of a second by which times may differ and still be the same."""

@@ -9,9 +9,9 @@ from pydantic_core import PydanticUndefined
 
 from drivers.rig_file import load_rig
 from hil.testing import bind, read_plan
+from hil.testing.judgement.verdicts import ORDER
 from hil.testing.limits import parse
 from hil.testing.plan import SEVERITIES, LimitSection, PlanSection, StepSection
-from hil.testing.verdicts import ORDER
 from tests.hil.made_plan import known
 from tests.hil.reference_pages import page
 

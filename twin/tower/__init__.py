@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from twin.tower.diagnosis.adoption import adopted, effects_of
     from twin.tower.effects import UNITS, CellEffect
     from twin.tower.estimates import DAY_S, WALK, Opening, Priors, moved_grid, time_grid
-    from twin.tower.identify import MOST_CONDITION, MOST_HIDDEN, Identifiability, condition_text
+    from twin.tower.identifiability.identify import MOST_CONDITION, MOST_HIDDEN, Identifiability, condition_text
+    from twin.tower.identifiability.planning import StepTest, model_sensitivities, plan_tests
     from twin.tower.minutes import MEASURED, Minutes, blocks_of, first_order_lag, minutes_of
     from twin.tower.model import (
         ANY_DRAUGHT,
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
         CellModel,
         DesignPoint,
     )
-    from twin.tower.planning import StepTest, model_sensitivities, plan_tests
     from twin.tower.recursive import Recursion, filter_cell
     from twin.tower.shared_observations.basin import Drain, with_basin
     from twin.tower.shared_observations.evaporation import Balance, with_evaporation
@@ -151,7 +151,7 @@ __getattr__, __dir__ = lazy_names(
         "diagnosis.adoption": ("adopted", "effects_of"),
         "effects": ("CellEffect", "UNITS"),
         "estimates": ("DAY_S", "Opening", "Priors", "WALK", "moved_grid", "time_grid"),
-        "identify": ("Identifiability", "MOST_CONDITION", "MOST_HIDDEN", "condition_text"),
+        "identifiability.identify": ("Identifiability", "MOST_CONDITION", "MOST_HIDDEN", "condition_text"),
         "minutes": ("MEASURED", "Minutes", "blocks_of", "first_order_lag", "minutes_of"),
         "model": (
             "ANY_DRAUGHT",
@@ -164,7 +164,7 @@ __getattr__, __dir__ = lazy_names(
             "NAMES",
             "SLOW",
         ),
-        "planning": ("StepTest", "model_sensitivities", "plan_tests"),
+        "identifiability.planning": ("StepTest", "model_sensitivities", "plan_tests"),
         "recursive": ("Recursion", "filter_cell"),
         "shared_observations.basin": ("Drain", "with_basin"),
         "shared_observations.evaporation": ("Balance", "with_evaporation"),

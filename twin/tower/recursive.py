@@ -27,7 +27,7 @@ from twin.tower.cell_observations import AMPLITUDE, Label, interval_as_gaussian
 from twin.tower.change_detection import RATE_D
 from twin.tower.clean_cell import FEATURES
 from twin.tower.estimates import DAY_S, JUMP, TREND, WALK, Blocks, Estimate, Opening, Priors
-from twin.tower.identify import TOLERANCE
+from twin.tower.identifiability.identify import TOLERANCE
 from twin.tower.minutes import Minutes, first_order_lag
 from twin.tower.model import DEVIATIONS, GLOBALS, NAMES, SLOW, CellModel
 from twin.tower.smoother import HUBER, STEPS

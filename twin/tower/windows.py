@@ -11,7 +11,13 @@ from scipy.special import fdtri
 from twin.tower.air import Array
 from twin.tower.calibration import WINDOW_S, Calibrated
 from twin.tower.cell import Inputs
-from twin.tower.identify import TOLERANCE, Identifiability, excited, identifiability, weighed_sensitivities
+from twin.tower.identifiability.identify import (
+    TOLERANCE,
+    Identifiability,
+    excited,
+    identifiability,
+    weighed_sensitivities,
+)
 from twin.tower.minutes import Minutes
 from twin.tower.model import DEVIATIONS, NAMES, CellModel
 from twin.tower.shared_observations import GAIN

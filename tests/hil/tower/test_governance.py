@@ -11,7 +11,7 @@ from hil.tower.governance import Indicators, drift_alarms
 from hil.tower.governance.gates import GateEvidence, judge
 from hil.tower.governance.records import drift_sentence
 from hil.tower.governance.service import hidden_shares
-from twin.tower.identify import Identifiability
+from twin.tower.identifiability.identify import Identifiability
 from twin.tower.windows import TargetWindow
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from twin.tower.cell import CellDeviations, Design, Inputs, solve_cell
-from twin.tower.identify import cell_sensitivities, excited, identifiability
-from twin.tower.planning import plan_tests
+from twin.tower.identifiability.identify import cell_sensitivities, excited, identifiability
+from twin.tower.identifiability.planning import plan_tests
 
 CELL = Design(250.0, 205.0, 1.47, 0.6, 45.0, 1.15)
 AT = CellDeviations(0.92, 0.95, 0.96, 0.0)

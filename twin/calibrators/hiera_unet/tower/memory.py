@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.tower.air import Array
-from twin.tower.identify import TOLERANCE
+from twin.tower.identifiability.identify import TOLERANCE
 from twin.tower.minutes import Minutes
 
 EDGES = {

@@ -18,7 +18,7 @@ from twin.calibrators.hiera_unet.data.subject import Channel, Deviation, Output,
 from twin.historian.events import Event
 from twin.tower.air import CP_WATER, Array
 from twin.tower.cell import Design
-from twin.tower.identify import TOLERANCE
+from twin.tower.identifiability.identify import TOLERANCE
 from twin.tower.minutes import MEASURED, OFF_CHECK, Minutes
 from twin.tower.model import DEVIATIONS
 from twin.tower.twin_file import BOUNDS

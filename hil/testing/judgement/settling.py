@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.testing.bound_limits import BoundLimit
+from hil.testing.judgement.verdicts import Finding, shown, worst
 from hil.testing.limits import Settles
 from hil.testing.run_data import Floats, RunData, carried_on, longest_piece, ticks_within
-from hil.testing.verdicts import Finding, shown, worst
 
 FINAL_SHARE = 0.1
 """Last share of a hold whose mean is the final value, where a limit names no target: shorter is noise, and longer would

@@ -14,7 +14,12 @@ import numpy as np
 
 from twin.tower.air import Array
 from twin.tower.cell import KAPPA, CellDeviations, Design, Inputs, solve_cell
-from twin.tower.identify import Identifiability, cell_sensitivities, identifiability, weighed_sensitivities
+from twin.tower.identifiability.identify import (
+    Identifiability,
+    cell_sensitivities,
+    identifiability,
+    weighed_sensitivities,
+)
 from twin.tower.model import DEVIATIONS, NAMES, CellModel, Operation
 from twin.tower.twin_file import BOUNDS
 

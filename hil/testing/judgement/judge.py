@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.testing.bound_limits import BoundLimit
+from hil.testing.judgement.levels import line_of
+from hil.testing.judgement.settling import judge_settling
+from hil.testing.judgement.verdicts import Finding, Verdict, shown, worst
 from hil.testing.limits import TIMES_S, Bound, Compared, Follows, NoEffect, NoTrip, Settles, Trips, TwinError
-from hil.testing.lines import line_of
 from hil.testing.plan import Limit
 from hil.testing.run_data import Floats, RunData, Trip, carried_on, longest_piece, root_mean_square, ticks_within
-from hil.testing.settling import judge_settling
-from hil.testing.verdicts import Finding, Verdict, shown, worst
 
 Bools = NDArray[np.bool_]
 _MOST_SPANS = 50
