@@ -85,7 +85,8 @@ def effective_speed(speed: Array, lighter: Array, wind: Array, q: Mapping[str, f
     q
         Constants by name: draft, wind_air, rest, stalled.
     """
-    design = max(float(_pressure(np.float64(1.0), np.float64(at_design), np.float64(CALM), q)), LEAST_AIR)
+    at_rating = _pressure(np.array([1.0]), np.array([at_design]), np.array([CALM]), q)
+    design = max(float(at_rating[0]), LEAST_AIR)
     driven = np.sqrt(np.maximum(_pressure(speed, lighter, wind, q) / design, (LEFT * speed) ** 2))
     turns = np.clip(speed / TURNING, 0.0, 1.0)
     flow = driven * (q["rest"] + (1.0 - q["rest"]) * turns)
