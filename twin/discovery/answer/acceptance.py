@@ -25,7 +25,7 @@ def accepted(case: AssessedFinding) -> bool:
     held_out_s = (len(case.grid.time) - case.split) * case.grid.step_s
     if held_out_s < case.whole.step_s:
         return True
-    return not contradicted(case.errors, case.known.probe.network, case.finding.entries)
+    return not contradicted(case.errors, case.known.probe.network)
 
 
 def effect_on_a_bound(case: AssessedFinding) -> Entry | None:

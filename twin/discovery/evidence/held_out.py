@@ -31,16 +31,7 @@ CACHED_RUNS = 4
 """Free runs in the cache."""
 
 
-def contradicted(errors: Mapping[str, SensorError], network: Network, entries: Sequence[Entry] = ()) -> bool:
-    """Return True if the held-out segment speaks against an answer.
-
-    Args:
-        entries: effects of the answer, none if it is a curve.
-    """
-    return _lasting_leave_more(errors, entries) or _most_squares_remain(errors, network)
-
-
-def _most_squares_remain(errors: Mapping[str, SensorError], network: Network) -> bool:
+def contradicted(errors: Mapping[str, SensorError], network: Network) -> bool:
     """Return True if an answer has a large error, and most of the re-tuned twin's squares remain where it acts.
 
     A sensor's weight is the square of the difference that the answer predicts there beyond re-tuning, in the usual

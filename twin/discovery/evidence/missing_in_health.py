@@ -38,6 +38,8 @@ from twin.network import Array
 MOST_LACKED = 3.0
 """Largest share that a commissioned twin may have lacked, in standard deviations of its prior, of which 99.7 % is
 within. A judgement."""
+OF_THE_CLOCK = frozenset({"time_of_day", "elapsed_time"})
+"""Drivers that are no state, flow or command of a rig."""
 MOST_LAWS, BEAM = 5, 6
 """Members of a set at most, beside given ones, and sets of each count in the beam. Judgements that bound the time: sets
 of five are common on the zoo's development families, and more were not tried."""
@@ -110,6 +112,7 @@ def with_missing(part: Part) -> Basis:
     amounts = known.health.amplitudes(
         [law.candidate for law in part.laws if not law.candidate.has_level], known.probe.scaling.ids
     )
+    amounts = amounts.of(_by_structure_or_health(amounts))
     if not amounts.candidates:
         return known
     columns, count = _columns_of(part, part.score_test, effects, amounts, prior), len(effects)
@@ -142,6 +145,7 @@ def with_missing_beside(part: Part, fit: Fit, further: Sequence[Entry]) -> Basis
     amounts = _amounts_of(known, known.health, candidates)
     if known.earlier is None:
         amounts = amounts.with_unknown([c for c in candidates if not c.is_open])
+    amounts = amounts.of(_by_structure_or_health(amounts))
     if not amounts.candidates:
         return known
     prior, score_test = Prior([*part.laws, *part.open_candidates]), copy.copy(part.score_test)
@@ -199,6 +203,23 @@ def _possible(
         if not outside:
             return found, odds
         others = [i for i in others if i not in outside]
+
+
+def _by_structure_or_health(amounts: Amplitudes) -> list[int]:
+    """Return the laws that a twin may have lacked in health.
+
+    A lumped twin lacks what follows temperatures, flows and commands. Heat that follows the clock comes from outside,
+    as a fault does: that the healthy record had no such hours does not make it usual. It has to show in that record.
+    """
+    found = []
+    for i, law in enumerate(amounts.candidates):
+        width = SPREAD * law.typical
+        precision = float(amounts.precision[i, i])
+        gain = 0.5 * float(amounts.score[i]) ** 2 / (precision + width**-2.0)
+        shown = math.log(FAULT) + gain - 0.5 * math.log1p(precision * width**2) > 0.0
+        if law.driver not in OF_THE_CLOCK or shown:
+            found.append(i)
+    return found
 
 
 def _may_lack(law: Candidate, size: float) -> bool:

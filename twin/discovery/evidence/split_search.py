@@ -214,7 +214,7 @@ class SplitSearch:
             return finding
         reported = replace(reported, log_bayes=reported.log_bayes - nothing_odds)
         rival = Found((reported,), [], retuned, unlisted).rival_of(reported, whole.score_test.expected)
-        if rival <= max(reported.odds, finding.claim):
+        if reported.odds >= max(rival, finding.claim):
             return finding
         return replace(nothing(finding), odds=reported.odds, unlisted=rival)
 

@@ -52,6 +52,12 @@ class Amplitudes:
         """Return the log likelihood ratio of these sizes (l,) over none of the laws, in the healthy record."""
         return float(self.score @ sizes - 0.5 * sizes @ self.precision @ sizes)
 
+    def of(self, which: Sequence[int]) -> Amplitudes:
+        """Return the amplitudes of some of the laws, by their numbers, with the others at zero."""
+        at = list(which)
+        few = tuple(self.candidates[i] for i in at)
+        return Amplitudes(few, self.precision[np.ix_(at, at)], self.score[at], self.moves[:, at])
+
     def with_unknown(self, candidates: Sequence[Candidate]) -> Amplitudes:
         """Return the amplitudes with those of further laws, of which the healthy record says nothing."""
         known = {c.id for c in self.candidates}
