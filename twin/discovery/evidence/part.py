@@ -171,7 +171,7 @@ class Part:
                 if since == 0.0 and math.isinf(law.candidate.lumped):
                     continue  # indistinguishable from the lag that a twin of mixed volumes lacks
                 size = entry.size if law.candidate.total_loss else entry.candidate.typical
-                begun = Entry(law, Shape("step", since), np.empty(0), size, 0.0, 0.0)
+                begun = replace(entry, law=law, shape=Shape("step", since), size=size, sd=0.0, gain=0.0, log_bayes=0.0)
                 found.append(begun.refreshed(self.score_test))
         return found
 

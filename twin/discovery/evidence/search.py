@@ -197,8 +197,9 @@ def _fitted(part: Part, known: list[Hypothesis], level: list[Hypothesis], misfit
 
     First some with different claims are fitted, then each unfitted leader.
     """
-    batch = _varied([h for h in level if h.odds > 0.0])[: FITTED // len(level[0].entries)] if level else []
     found, done = [*known, *level], 0
+    leaders = sorted((h for h in level if h.odds > 0.0), key=lambda h: -_promise(h, known))
+    batch = _varied(leaders)[: FITTED // len(level[0].entries)] if level else []
     while batch and done < MOST_FITTED:
         done += len(batch)
         for (fit, _), h in zip(fitted(part, [h.entries for h in batch], BEGUN), batch, strict=True):
@@ -211,10 +212,13 @@ def _fitted(part: Part, known: list[Hypothesis], level: list[Hypothesis], misfit
 
 
 def _promise(h: Hypothesis, found: list[Hypothesis]) -> float:
-    """Return the log odds that a hypothesis may reach by a fit: others of the same claim gained as much by theirs."""
+    """Return the log odds that a hypothesis may reach by a fit: others of the same claim, or of a part of it, gained as
+    much by theirs.
+    """
     if h.fit is not None:
         return h.odds
-    return h.odds + max((f.gained for f in found if f.fit is not None and f.labels == h.labels), default=0.0)
+    own = Counter(h.labels)
+    return h.odds + max((f.gained for f in found if f.fit is not None and Counter(f.labels) <= own), default=0.0)
 
 
 def _by_promise(found: list[Hypothesis]) -> list[Hypothesis]:
@@ -285,6 +289,8 @@ def with_nonlinear(
     better = [(f, e) for f, (e,) in begun if misfit - f.total > max(2.0 * CLAIM, enough)]
     better.sort(key=lambda g: g[0].total)
     late = [_with_fit(part, replace(_set(part, (e,), prior), entries=(e,)), fit, misfit) for fit, e in better[:FITTED]]
+    if not late and enough > 0.0:
+        return found
     every = sorted([*found, *late], key=lambda h: -h.odds)
     return _settled_fits(part, every, misfit) if every else []
 

@@ -216,7 +216,7 @@ class SplitSearch:
         rival = Found((reported,), [], retuned, unlisted).rival_of(reported, whole.score_test.expected)
         if reported.odds >= max(rival, finding.claim):
             return finding
-        return replace(nothing(finding), odds=reported.odds, unlisted=rival)
+        return replace(nothing(finding), odds=min(reported.odds, finding.odds), unlisted=rival)
 
     def _beside(self, finding: Finding, prior: Prior, claim: float) -> Entry | None:
         """Return the likeliest effect of the whole record in addition to those of a part of it, if its odds allow a
