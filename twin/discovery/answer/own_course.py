@@ -46,7 +46,8 @@ def own_course(case: AssessedFinding, curve: Empirical | None) -> OwnCourse | No
     heaters = heaters_of(network, whole, case.laws)
     found = sorted((*case.free, *courses(whole, heaters, SPREAD)), key=lambda c: -c.log_evidence)
     best, sites = found[0], sites_of(network, whole, case.laws) | heaters
-    if best.log_evidence < (1.0 - FORM_SHARE) * finding.odds:
+    # The one is of all of the record, the other of the part that the laws were fitted to, and over the same twin.
+    if max(best.log_evidence, finding.unlisted) < (1.0 - FORM_SHARE) * finding.odds:
         return None  # laws explain more, though the held-out segment refutes them
     if not _explains(best, case) or not _held(best, sites[best.site]) or _elsewhere(best, finding.together):
         return None
