@@ -180,8 +180,8 @@ def test_beside_lost_rejection_a_lesser_effect_is_told_by_its_own_beginning(
     assert second.onset_s == pytest.approx(8.0 * HOUR, abs=HOUR / 4)
 
 
-def test_what_no_candidate_can_be_is_left_unexplained_at_its_place(brisk: Bench, brisk_healthy: Columns) -> None:
-    """Heat that comes and goes: no candidate ends."""
+def test_what_no_candidate_can_be_is_named_by_its_place_and_not_adopted(brisk: Bench, brisk_healthy: Columns) -> None:
+    """Heat for two times of different length: no candidate comes again so."""
     heated = brisk.with_element("heat", {"kind": "heat_source", "node": "tank", "power": 150.0})
     record = brisk.record(24.0, changed=heated, onset_h=4.0, until_h=9.0)
     again = brisk.record(24.0, changed=heated, onset_h=13.0, until_h=16.0)
@@ -189,10 +189,11 @@ def test_what_no_candidate_can_be_is_left_unexplained_at_its_place(brisk: Bench,
     record = replace(record, measured=record.measured + again.measured - plain.measured)
     heard: list[str] = []
     found = diagnose(brisk.network, record, brisk_healthy, say=heard.append)
-    assert found.verdict == "unexplained" and found.network is None
+    assert found.verdict == "ambiguous" and found.network is None
     # More of the record would not make it fit, so it is searched at most to its end.
     assert heard.count("re-tuning") <= 3
-    assert found.effects[0].kind == "unknown" and found.effects[0].where == "tank"
+    (effect,) = found.effects
+    assert (effect.kind, effect.where, effect.shape) == ("heat_source", "tank", "own course")
     assert found.courses[0].site == "tank" and found.courses[0].unit == "W"
     during = (found.courses[0].hours > 5.0 * HOUR / 3600.0) & (found.courses[0].hours < 8.0 * HOUR / 3600.0)
     assert found.courses[0].mean[during].mean() == pytest.approx(150.0, rel=0.25)

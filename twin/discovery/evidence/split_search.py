@@ -190,8 +190,6 @@ class SplitSearch:
                     "beside the answer, the part that was to be kept out of the fit showed more; so the fit was given "
                     f"the record up to {self._hours(later)}",
                 )
-        if found.finding.together is not None:
-            found = replace(found, finding=finding_of(found.found, found.train, self.grid.span_s, fewer=True))
         if found.finding.fit is not None and self._held_out.exceeds_usual(found.finding, found.split):
             found = replace(found, finding=self._against_unlisted(found.finding))
         return replace(found, notes=notes)
@@ -294,19 +292,20 @@ def _near(part: Part, entry: Entry) -> tuple[Candidate, ...]:
     return () if entry.candidate.near is None else within_commands(part, entry.candidate.near())
 
 
-def finding_of(found: Found, part: Part, record_s: float, *, fewer: bool = False) -> Finding:
+def finding_of(found: Found, part: Part, record_s: float) -> Finding:
     """Return the finding of a search: the likeliest hypothesis, if its odds allow a claim.
+
+    One of two effects that begin at one moment is reported alone if the other may be its form error.
 
     Args:
         record_s: length of the record, s, to whose end an effect that still grows at the end of the part grows on.
-        fewer: report one of two effects that begin at one moment, if the other may be its form error.
     """
     score_test, claim = part.score_test, max(CLAIM, part.basis.claim)
     part.reset()
     best = _of_possible_sizes(found)
     least = max(claim, found.unlisted if best is None else found.rival_of(best, score_test.expected))
     together = _at_one_moment(best, score_test) if best is not None and best.odds >= least else None
-    if fewer and together is not None and best is not None:
+    if together is not None and best is not None:
         # What comes back in the turns of another is certainly of one cause, whatever share of it the other has.
         same = _same_turns_by_chance(*together, score_test.grid.span_s) < 1.0
         enough = least if same else best.odds * (1.0 - COINCIDENT_SHARE)
