@@ -1,6 +1,7 @@
 """Steady states: the temperatures at which nothing changes while the inputs are held.
 
 Newton steps on the right-hand side find them; one step is exact for a network that is affine in its temperatures.
+Where they go to and fro, as across the opening of a valve, implicit Euler steps of doubling length come to rest.
 Simulating until it rests would take as long as the slowest node.
 """
 
@@ -18,6 +19,9 @@ _PROBE_K = 1.0e-3
 _RESTS_K = 1.0e-9
 _SLOWEST_S = 1.0e9
 """A node slower than this never comes to rest; its heat has no way out."""
+_FIRST_S, _DOUBLINGS = 1.0, 40
+"""First implicit Euler step, of a fast volume's seconds, and its doublings: beyond `_SLOWEST_S` such a step is a Newton
+step."""
 
 
 def steady_state(
@@ -64,7 +68,10 @@ def steady_state(
     rows = []
     for i, row in enumerate(u):
         state = guess.copy()
-        for _ in range(most):
+        steps_s = [np.inf] * most + [_FIRST_S * 2.0**k for k in range(_DOUBLINGS)]
+        for k, step_s in enumerate(steps_s):
+            if k == most:
+                state = guess.copy()
             rate = np.array(rhs(state, row, values))
             probes = state + np.diag(np.full(state.size, _PROBE_K))
             slope = (np.array([rhs(probe, row, values) for probe in probes]) - rate).T / _PROBE_K
@@ -73,9 +80,9 @@ def steady_state(
                 raise TwinFileError(
                     f"twin {network.name!r} has no steady state at row {i} of the inputs: heat has no way out of it"
                 )
-            step = np.linalg.solve(slope, -rate)
+            step = np.linalg.solve(slope - np.eye(state.size) / step_s, -rate)
             state = state + np.clip(step, -100.0, 100.0)
-            if np.abs(step).max() < _RESTS_K * max(1.0, float(np.abs(state).max())):
+            if np.abs(step).max() < _RESTS_K * max(1.0, float(np.abs(state).max())) and step_s > _SLOWEST_S:
                 break
         else:
             raise TwinFileError(f"twin {network.name!r} does not come to rest at row {i} of the inputs")

@@ -11,9 +11,14 @@ from twin.steady import steady_readings, steady_state
 WARM = '[elements.s]\nkind = "heat_source"\nnode = "a"\ndriver = "heater_power_W"\n'
 LOSS = '[elements.l]\nkind = "ambient_loss"\nnode = "b"\nhA = 8.0\n'
 RADIATION = '[elements.r]\nkind = "radiation"\nnode = "b"\nambient = "T_ambient_C"\narea = 1.5\n'
+VALVE = (
+    '[elements.v]\nkind = "law_conductance"\nnode = "b"\nambient = "T_ambient_C"\nof = "b"\nform = "dead_band"\n'
+    "gain = 100.0\nreference = 0.0\nwidth = 40.0\n"
+)
+"""Cooling by water through a valve that opens from 40 degC on, which takes no more than 100 kW."""
 
 
-@pytest.mark.parametrize("extra", [WARM + LOSS, WARM + RADIATION, WARM + LOSS + RADIATION])
+@pytest.mark.parametrize("extra", [WARM + LOSS, WARM + RADIATION, WARM + LOSS + RADIATION, WARM + LOSS + VALVE])
 def test_long_simulation_ends_there(extra: str) -> None:
     net = network(extra)
     rest = simulate(net, [0.0, 2.0e5], np.vstack([U, U]), np.array([20.0, 20.0]))[-1]
