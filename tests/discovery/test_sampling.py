@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -41,6 +43,19 @@ def test_loads_that_change_between_samples_are_no_fault_where_those_in_health_ch
 ) -> None:
     """A step that is logged up to ten seconds late leaves as much as a fault that lasts for half a minute."""
     assert diagnose(bench.network, switched(bench, seed, 9.0), switched(bench, 7, 0.0)).verdict == "adequate"
+
+
+@pytest.mark.parametrize("bias_K", [0.0, 1.0])
+def test_half_degrees_are_no_fault_where_health_was_logged_in_hundredths(
+    pair: Bench, pair_healthy: Columns, bias_K: float
+) -> None:
+    """The error of rounding follows the temperature from step to step; a bias of two steps is seen beside it."""
+    record = pair.record(seed=3)
+    off = np.outer(record.time_s > 6.0 * pair.hour_s, [bias_K, 0.0])
+    rounded = replace(record, measured=0.5 * np.round(2.0 * (record.measured + off)))
+    found = diagnose(pair.network, rounded, pair_healthy)
+    assert [(e.kind, e.where) for e in found.effects] == [("sensor", pair.network.sensor_names[0])] * bool(bias_K)
+    assert bias_K or found.verdict == "adequate"
 
 
 def test_a_bin_has_the_mean_over_time_of_a_held_input(bench: Bench) -> None:

@@ -174,7 +174,7 @@ class HeldOutRecord:
         if self.healthy is None:
             return np.zeros(len(self.network.sensors))
         here = finding.score_test.probe.run(self.grid, self._begun(finding)).readings[split:]
-        return self.healthy.where_moved(here, self.grid.step_s).rms(len(here))
+        return self.healthy.where_moved(here, self.grid.step_s, self.grid.resolution).rms(len(here))
 
 
 def _far(network: Network, sensor: str, means: float, usual: float) -> bool:

@@ -20,6 +20,8 @@ BIN_S = 10.0
 """Length of a bin of the grid, s, or the record's own step if that is longer."""
 MOST_BINS = 10_800
 """Bins up to which they keep their length; effects in records of days are resolved by blocks of minutes."""
+DECIMALS = 6
+"""Decimals of a reading, degC, beyond which its digits are those of a calculation."""
 
 
 class TooShortError(TwinFileError):
@@ -33,6 +35,7 @@ class Grid:
     `sigma` (m,) is the white noise of a bin's mean, K. `begins`: bins at which segments begin, each with its own
     initial state; states of a record are the node temperatures (s * k,), degC, at each of them. `centre`: mean time of
     a bin's samples after its beginning, in steps: with one sample a bin, at its beginning, 0; with many, 1/2.
+    `resolution` (m,), K: least difference between two values of a sensor's readings, or None if they are none.
     """
 
     time: Array
@@ -42,6 +45,7 @@ class Grid:
     step_s: float
     begins: tuple[int, ...] = (0,)
     centre: float = 0.5
+    resolution: Array | None = None
 
     @property
     def segments(self) -> tuple[slice, ...]:
@@ -108,7 +112,20 @@ def on_grid(
             begins.append(first)
     u_means = _held_means(t, u, np.append(grid_time, grid_time[-1] + step), period)
     centre = float(np.mean((t - grid_time[where]) / step))
-    return Grid(grid_time, u_means, mean, network.sigma / np.sqrt(per_bin), step, tuple(begins), centre)
+    return Grid(
+        grid_time, u_means, mean, network.sigma / np.sqrt(per_bin), step, tuple(begins), centre, _resolution(network, y)
+    )
+
+
+def _resolution(network: Network, measured: Array) -> Array:
+    """Return the least difference (m,), K, between two readings of each sensor (N, m); 0 with fewer than two values.
+
+    The mean of several thermometers has finer steps, but their errors of rounding are independent. Its resolution is
+    therefore that of one thermometer with an error of this variance.
+    """
+    steps = [np.diff(np.unique(np.round(each[np.isfinite(each)], DECIMALS))) for each in measured.T]
+    single = [np.sqrt(len(s.measured)) for s in network.sensors]
+    return np.array([k * float(step.min()) if step.size else 0.0 for k, step in zip(single, steps, strict=True)])
 
 
 def require_enough(network: Network, time_s: ArrayLike, measured: ArrayLike, least_s: float = BIN_S) -> None:

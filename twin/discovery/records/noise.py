@@ -8,7 +8,7 @@ because a drift does not leak in them (Makhoul, IEEE Trans. ASSP 28 (1980) 27).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -29,6 +29,8 @@ PARTS = 4
 """Parts of a healthy record, of which some may move less than others. A judgement: each holds some load changes."""
 SURELY = 1.92
 """Log likelihood by which a lower power has to be likelier: half the 95 % quantile of chi-squared of one variable."""
+PLACES = 8
+"""Places between two steps of a rounded reading that are averaged."""
 SHRINK = 0.3
 """Relative shrinkage of each covariance's off-diagonal."""
 
@@ -41,7 +43,8 @@ class Noise:
     `white` (m,), K, noise of the thermometers alone in a bin; `moves` (bands,), K^2, power of the twin's readings in
     the record that it was learned from, or None if it holds for that record alone; `follows`, the power of a calmer
     record's moves that the model error's power goes with; `relative` (bands, m, m), covariance in whitened units that a
-    record's own residual leaves of the healthy one (`relative_covariances`), or None.
+    record's own residual leaves of the healthy one (`relative_covariances`), or None; `resolution` (m,), K, of the
+    readings that it was learned from, or None.
     """
 
     roots: Array
@@ -51,8 +54,9 @@ class Noise:
     moves: Array | None = None
     follows: float = 1.0
     relative: Array | None = None
+    resolution: Array | None = None
 
-    def where_moved(self, readings: Array, step_s: float) -> Noise:
+    def where_moved(self, readings: Array, step_s: float, resolution: Array | None = None) -> Noise:
         """Return the noise to expect in a record in which the twin's readings (n, m), degC, are these.
 
         The model error of a lumped twin is proportional to the variation: measured on a distributed plant, its
@@ -61,6 +65,9 @@ class Noise:
         A rig may have errors that its twin's readings do not follow, though. If the calm parts of the healthy record
         have more error than by this rule, that of a calmer record falls by a lower power of its moves. Never is the
         noise less than that of the thermometers.
+
+        Readings of a coarser `resolution` (m,), K, than in health have the error of rounding, too. Between two steps of
+        the reading it follows the temperature, so that it is not white, and known from the twin's readings.
         """
         if self.moves is None:
             return self
@@ -70,11 +77,12 @@ class Noise:
         ratio[0] = max(ratio[0], 1.0)
         roots, sd = self.roots.copy(), self.sd.copy()
         floor = np.diag(self.white**2)
+        rounded = self._rounded(readings, step_s, resolution) * step_s / self.step_s
         for b in range(len(ratio)):
             inverse = self._inverses[b]
             values, vectors = np.linalg.eigh(inverse.T @ inverse - CAUTION[b] * floor)
             structure = vectors * np.maximum(values, 0.0) @ vectors.T
-            covariance = CAUTION[b] * floor + ratio[b] * structure
+            covariance = CAUTION[b] * (floor + np.diag(rounded[b])) + ratio[b] * structure
             if self.relative is not None:
                 half = _power(covariance, 0.5)
                 white = np.outer(self.white, self.white)
@@ -82,6 +90,15 @@ class Noise:
                 covariance = (vectors * np.maximum(values, 1.0)) @ vectors.T * white
             roots[b], sd[b] = _root(covariance)
         return Noise(roots, sd, self.step_s, self.white, relative=self.relative)
+
+    def _rounded(self, readings: Array, step_s: float, resolution: Array | None) -> Array:
+        """Return the mean square (bands, m), K^2, of the cosine coefficients of rounding that health did not have."""
+        if resolution is None:
+            return np.zeros((len(EDGES_S) + 1, readings.shape[1]))
+        before = np.zeros_like(resolution) if self.resolution is None else self.resolution
+        steps = np.maximum(resolution, 1e-9)
+        more: Array = np.maximum(1.0 - (before / steps) ** 2, 0.0)
+        return rounding_power(readings, steps, step_s) * more
 
     @property
     def expected(self) -> Array:
@@ -150,7 +167,7 @@ class Noise:
         share = np.sqrt(step_s / self.step_s)
         moves = None if self.moves is None else self.moves / share**2
         white = self.white / share
-        return Noise(self.roots * share, self.sd / share, step_s, white, moves, self.follows, self.relative)
+        return replace(self, roots=self.roots * share, sd=self.sd / share, step_s=step_s, white=white, moves=moves)
 
 
 def bands(n: int, step_s: float) -> np.ndarray:
@@ -177,12 +194,30 @@ def power(readings: Array, step_s: float) -> Array:
     return found
 
 
-def learn(residual: Array, sigma: Array, step_s: float, readings: Array | None = None) -> Noise:
+def rounding_power(readings: Array, steps: Array, step_s: float) -> Array:
+    """Return the mean square (bands, m), K^2, of the cosine coefficients of readings (n, m) rounded to steps (m,).
+
+    The twin tells how far readings move, and not where between two steps they are: all places are equally likely.
+    """
+    found = []
+    for place in (np.arange(PLACES) + 0.5) / PLACES:
+        error = (np.round(readings / steps + place) - readings / steps - place) * steps
+        found.append(dct(error, type=2, norm="ortho", axis=0) ** 2)
+    squares = np.zeros((len(EDGES_S) + 1, readings.shape[1]))
+    for b, rows in _rows_of_bands(len(readings), step_s):
+        squares[b] = np.mean(found, axis=0)[rows].mean(axis=0)
+    return squares
+
+
+def learn(
+    residual: Array, sigma: Array, step_s: float, readings: Array | None = None, resolution: Array | None = None
+) -> Noise:
     """Learn the noise from a healthy residual (n, m), K, without NaN.
 
     Args:
         sigma: (m,) K, white noise of a bin, the least of any band.
         readings: (n, m) degC, the twin's own, if the noise is to be scaled to the variation of other records.
+        resolution: (m,) K, of the record's readings.
     """
     n, m = residual.shape
     c = dct(residual, type=2, norm="ortho", axis=0)
@@ -200,7 +235,8 @@ def learn(residual: Array, sigma: Array, step_s: float, readings: Array | None =
         roots[b], sd[b] = _root((covariance + np.diag(short)) * CAUTION[b])
     if readings is None:
         return Noise(roots, sd, step_s, sigma)
-    return Noise(roots, sd, step_s, sigma, power(readings, step_s), _exponent(residual, sigma, step_s, readings))
+    follows = _exponent(residual, sigma, step_s, readings)
+    return Noise(roots, sd, step_s, sigma, power(readings, step_s), follows, resolution=resolution)
 
 
 def _exponent(residual: Array, sigma: Array, step_s: float, readings: Array) -> float:

@@ -134,7 +134,7 @@ class ScoreTest:
         usual: UsualErrors | None = None,
     ) -> None:
         self.probe, self.grid, self.prior = probe, grid, repeated(prior, probe.q, len(grid.begins))
-        self.noise = noise.where_moved(run.readings, grid.step_s)
+        self.noise = noise.where_moved(run.readings, grid.step_s, grid.resolution)
         self.edges = block_edges(len(grid.time))
         self.b, self.k, self.m = len(self.edges) - 1, probe.k, probe.m
         self.sites = self.k + self.m
