@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from twin.elements.base import Names, place
+from twin.elements.candidates import Candidate, Sites
 from twin.elements.fragments import Fragment
 from twin.elements.law import LIMITS, Law, with_heat
 
@@ -34,6 +35,24 @@ class LawConductance(Law):
 
     def own_inputs(self) -> tuple[str, ...]:
         return (self.ambient,)
+
+    def changed_candidates(self, sites: Sites) -> tuple[Candidate, ...]:
+        name = f"{self.name}.{self.strength}"
+        now, other = sites.values[name], self.to or self.ambient
+        if now == 0.0 or self.course != "always":
+            return ()
+        kind = "coupling" if self.to else "heat_loss" if other == sites.room else "heat_rejection"
+        return (
+            Candidate(
+                kind,
+                sites.places[self.node],
+                "temperature_difference",
+                "existing",
+                {name: now},
+                *("of the conductance", 0.05, -0.95, 3.0),
+                f"has {{value}} more to {other} than when commissioned",
+            ),
+        )
 
     def problem(self, values: Mapping[str, float]) -> str | None:
         if bool(self.to) == bool(self.ambient):

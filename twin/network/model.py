@@ -167,9 +167,13 @@ class Network:
 
     @cached_property
     def room(self) -> str:
-        """Return the input column that most elements name as ambient, else the first T_amb..., or ""."""
-        named = Counter(str(getattr(e, "ambient", "")) for e in self.elements)
-        known = [column for column, _ in named.most_common() if column in self.inputs]
+        """Return the input column that most elements name as ambient, else the first T_amb..., or "".
+
+        A conductance leads to a medium of any kind, such as cooling water. It names the room where nothing else does.
+        """
+        named = [(e.kind == "law_conductance", str(getattr(e, "ambient", ""))) for e in self.elements]
+        most = sorted(Counter(named).items(), key=lambda each: (each[0][0], -each[1]))
+        known = [column for (_, column), _ in most if column in self.inputs]
         return next((c for c in (*known, *self.inputs) if c in known or c.startswith("T_amb")), "")
 
     @cached_property
