@@ -75,7 +75,7 @@ def deviating_member(found: Members, shapes: tuple[Shape, ...] = ()) -> Deviatio
     drift = None if shapes else _largest_deviation(found, good, _drifts(found))
     if drift is not None and (best is None or drift.z**2 > best.z**2 + width(best.z**2)):
         best = drift
-    if best is None or best.share < SHARE:
+    if best is None or best.share < max(SHARE, _share_of_row(found, good, best.shape)):
         return None
     stands_out = abs(best.final) * (1.0 - 1.0 / len(found.columns)) / found.sd[found.columns.index(best.column)]
     return best if stands_out >= STANDS_OUT else None
@@ -136,6 +136,23 @@ def _largest_deviation(found: Members, good: np.ndarray, shapes: tuple[Shape, ..
     return Deviation(found.columns[i], size, sd, shape, share, float(np.sqrt(gains[k, i])), final)
 
 
+def _share_of_row(found: Members, good: np.ndarray, shape: Shape) -> float:
+    """Return the share of the differences of a time course that the row as a whole has, in one direction.
+
+    A flow that fails warms the end of a row beyond its beginning, as less flow does in health.
+    """
+    amplitudes = shape.block_means(found.edges_s)[good] @ found.residual[good] / found.sd
+    most = float(_along_row(found, amplitudes[None]).max(initial=0.0))
+    return most / max(float(amplitudes @ amplitudes), 1e-12)
+
+
+def _along_row(found: Members, residual: Array) -> Array:
+    """Return the squares (b, d) of differences (b, c), in healthy standard deviations, along the row's directions."""
+    along = found.row.reshape(-1, len(found.columns)) / found.sd
+    squares: Array = (residual @ along.T) ** 2 / np.maximum((along**2).sum(axis=1), 1e-12)
+    return squares
+
+
 def onset_interval(found: Members, deviation: Deviation) -> tuple[float, float]:
     """Return the 90 % interval, s from the record's beginning, of the onset of a member's deviation."""
     good = found.good
@@ -167,13 +184,13 @@ def intermittent_member(found: Members) -> Deviation | None:
     """
     good = np.isfinite(found.residual).all(axis=1)
     residual, number = found.residual[good] / found.sd, found.residual.shape[1]
-    total = (residual**2).sum(axis=1)
+    total, along = (residual**2).sum(axis=1), _along_row(found, residual)
     best: Deviation | None = None
     for i in range(number):
         weight = pattern_of(i, number) / found.sd
         size = found.by_itself(i, found.residual[good])
         stands_out = np.abs(size) > max(STANDS_OUT * found.sd[i] / (1.0 - 1.0 / number), found.most)
-        off = stands_out & (size**2 * (weight @ weight) > SHARE * total)
+        off = stands_out & (size**2 * (weight @ weight) > np.maximum(SHARE * total, along.max(axis=1, initial=0.0)))
         if off.sum() < OFTEN or (best is not None and off.mean() < best.share):
             continue
         most, first = float(np.abs(size[off]).max()), float(found.edges_s[:-1][good][off][0])

@@ -1,7 +1,7 @@
 """Differences between the thermometers whose mean is one sensor, less those in health.
 
-In a healthy rig the differences between thermometers in a row follow from the heat that the water gives off on its way.
-They are learned from a healthy record.
+In a healthy rig the differences between thermometers in a row follow from the heat that the water gives off on its way,
+and from the heat that is released there. They are learned from a healthy record.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin.discovery.effects.shapes import Shape
 from twin.discovery.records.grid import Grid
+from twin.first_order_lag import lagged
 from twin.network import Array, Network
 
 LEAST_MEMBERS = 3
@@ -26,6 +26,8 @@ MARGIN_K = 0.06
 """Deviations below this, K, are ignored: contact and placement shift by as much."""
 STANDS_OUT = 6.0
 """Deviation of one thermometer, in healthy standard deviations of a block, from which it is significant."""
+RELEASED_S = (0.0, *(30.0 * 2.0**k for k in range(8)))
+"""Lags, s, behind what heat in a row follows, of which the healthy record tells the likeliest: up to about an hour."""
 NEAR_S = 10800.0
 """Time before and after an onset, s, in which the change of differences is estimated."""
 
@@ -41,6 +43,7 @@ class Members:
         fine: (n, c) K, the same as `residual` for bins of `step_s`. mean: (n,) degC, of the available thermometers.
         late_s: (w, c) s, lag of each behind the others in windows of the healthy record.
         follows: driver -> (b,), what differences may be proportional to, in blocks.
+        row: (d, c), directions in which differences vary in health: those of the row as a whole.
     """
 
     sensor: str
@@ -54,6 +57,7 @@ class Members:
     step_s: float = 0.0
     late_s: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
     follows: dict[str, Array] = field(default_factory=dict, repr=False)
+    row: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
 
     @property
     def good(self) -> np.ndarray:
@@ -81,6 +85,7 @@ class Members:
             sd=self.sd[keep],
             fine=rest(self.fine),
             late_s=rest(self.late_s),
+            row=rest(self.row),
         )
 
     def less(self, column: str, size: float, shape: Shape) -> Members:
@@ -125,20 +130,21 @@ def members(
         if there.sum() < LEAST_MEMBERS:
             continue
         bins = int(np.diff(edges).mean().round())
-        known = _blocks(healthy[sensor.name][:, there], np.arange(0, len(healthy_grid.time) + 1, bins))
-        basis = _basis(network, healthy_grid, known[0], np.arange(0, len(healthy_grid.time) + 1, bins))
-        good = np.isfinite(basis).all(axis=1) & np.isfinite(known[1]).all(axis=1)
-        if good.sum() < 3 * basis.shape[1]:
+        healthy_edges = np.arange(0, len(healthy_grid.time) + 1, bins)
+        known = _blocks(healthy[sensor.name][:, there], healthy_edges)
+        law = _learned(network, sensor.node, healthy_grid, *known, healthy_edges)
+        if law is None:
             continue
-        law, *_ = np.linalg.lstsq(basis[good], known[1][good], rcond=None)
-        left = known[1][good] - basis[good] @ law
+        usual = law.differences(healthy_grid, known[0], healthy_edges)
+        good = np.isfinite(usual).all(axis=1) & np.isfinite(known[1]).all(axis=1)
+        left = known[1][good] - usual[good]
         scatter = left.std(axis=0)
         mean, difference = _blocks(record[sensor.name][:, there], edges)
-        residual = difference - _basis(network, grid, mean, edges) @ law
+        residual = difference - law.differences(grid, mean, edges)
         sd = np.maximum(scatter, MARGIN_K / STANDS_OUT)
         columns = tuple(c for c, t in zip(sensor.measured, there, strict=True) if t)
-        bin_mean, fine = _finely(network, grid, record[sensor.name][:, there], law)
-        in_health = lateness(*_finely(network, healthy_grid, healthy[sensor.name][:, there], law), healthy_grid.step_s)
+        bin_mean, fine = _finely(law, grid, record[sensor.name][:, there])
+        in_health = lateness(*_finely(law, healthy_grid, healthy[sensor.name][:, there]), healthy_grid.step_s)
         here = Members(
             sensor.name,
             columns,
@@ -150,6 +156,7 @@ def members(
             step_s=grid.step_s,
             late_s=in_health,
             follows=_follows(network, grid, mean, edges),
+            row=_row(usual[good]),
         )
         most = max(float(np.abs(here.by_itself(i, left)).max()) for i in range(left.shape[1]))
         found.append(replace(here, most=most))
@@ -175,21 +182,72 @@ def _blocks(values: Array, edges: np.ndarray) -> tuple[Array, Array]:
     return mean, each - mean[:, None]
 
 
-def _basis(network: Network, grid: Grid, mean: Array, edges: np.ndarray) -> Array:
-    """Return the regressors of healthy differences: offset, and excess over the room, alone and over the flow."""
-    rows = np.add.reduceat(grid.inputs, edges[:-1], axis=0)[: len(edges) - 1] / np.diff(edges)[:, None]
-    columns = list(network.input_columns)
-    room = rows[:, columns.index(network.room)] if network.room else np.zeros(len(rows))
-    pump = next((rows[:, j] for j, c in enumerate(columns) if c.startswith("pump")), np.full(len(rows), 100.0))
-    excess = mean - room
-    return np.column_stack([np.ones(len(rows)), excess, excess * 100.0 / np.maximum(pump, 5.0)])
+@dataclass(frozen=True)
+class HealthyDifferences:
+    """Law of the differences in a row.
+
+    It has `weights` (p, c) of an offset, of the excess over the room, alone and over the flow, and of the inputs
+    `released` that heat there follows. These are taken less their means `usual` in health, and `late_s` late.
+    """
+
+    network: Network
+    released: tuple[int, ...]
+    usual: Array
+    late_s: float
+    weights: Array
+
+    def differences(self, grid: Grid, mean: Array, edges: np.ndarray) -> Array:
+        """Return the healthy differences (b, c), K, of blocks with the mean thermometer (b,)."""
+        found: Array = self.regressors(grid, mean, edges) @ self.weights
+        return found
+
+    def regressors(self, grid: Grid, mean: Array, edges: np.ndarray) -> Array:
+        """Return the regressors (b, p) of blocks."""
+        given_off = grid.inputs[:, list(self.released)] - self.usual
+        if self.late_s > 0.0:
+            keep = float(np.exp(-grid.step_s / self.late_s))
+            given_off = np.column_stack([lagged(each.copy(), keep) for each in given_off.T])
+        every = np.column_stack([grid.inputs, given_off])
+        rows = np.add.reduceat(every, edges[:-1], axis=0)[: len(edges) - 1] / np.diff(edges)[:, None]
+        columns = list(self.network.input_columns)
+        room = rows[:, columns.index(self.network.room)] if self.network.room else np.zeros(len(rows))
+        pump = next((rows[:, j] for j, c in enumerate(columns) if c.startswith("pump")), np.full(len(rows), 100.0))
+        excess, own = mean - room, rows[:, len(columns) :]
+        return np.column_stack([np.ones(len(rows)), excess, excess * 100.0 / np.maximum(pump, 5.0), own])
 
 
-def _finely(network: Network, grid: Grid, values: Array, law: NDArray[np.floating]) -> tuple[Array, Array]:
+def _learned(
+    network: Network, node: str, grid: Grid, mean: Array, difference: Array, edges: np.ndarray
+) -> HealthyDifferences | None:
+    """Return the law of a healthy row, with the lag that fits best; None if the record has too few blocks."""
+    named = {column for e in network.elements if e.kind == "heat_source" and node in e.nodes() for column in e.inputs()}
+    released = tuple(j for j, column in enumerate(network.input_columns) if column in named)
+    best: tuple[float, HealthyDifferences] | None = None
+    for late_s in RELEASED_S if released else RELEASED_S[:1]:
+        law = HealthyDifferences(network, released, grid.inputs[:, list(released)].mean(axis=0), late_s, np.empty(0))
+        given = law.regressors(grid, mean, edges)
+        good = np.isfinite(given).all(axis=1) & np.isfinite(difference).all(axis=1)
+        if good.sum() < 3 * given.shape[1]:
+            return None
+        weights: Array = np.linalg.lstsq(given[good], difference[good], rcond=None)[0].astype(np.float64)
+        left = float(((difference[good] - given[good] @ weights) ** 2).sum())
+        if best is None or left < best[0]:
+            best = left, replace(law, weights=weights)
+    return None if best is None else best[1]
+
+
+def _row(differences: Array) -> Array:
+    """Return the directions (d, c) in which the differences (b, c) of a healthy row vary by more than `MARGIN_K`."""
+    _, spread, directions = np.linalg.svd(differences - differences.mean(axis=0), full_matrices=False)
+    found: Array = directions[spread > MARGIN_K * np.sqrt(len(differences))]
+    return found
+
+
+def _finely(law: HealthyDifferences, grid: Grid, values: Array) -> tuple[Array, Array]:
     """Return for every bin the mean of thermometers (n, c) and their differences from it, less the healthy ones."""
     every = np.arange(len(grid.time) + 1)
     mean, difference = _blocks(values, every)
-    return mean, difference - _basis(network, grid, mean, every) @ law
+    return mean, difference - law.differences(grid, mean, every)
 
 
 def lateness(mean: Array, difference: Array, step_s: float) -> Array:
