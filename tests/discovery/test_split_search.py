@@ -110,6 +110,8 @@ def test_much_of_a_bypass_is_tried_whatever_a_little_of_it_explains(pair: Bench,
     part = Part.of(basis(pair.network, pair_healthy, grid, sample_period(record.time_s)), grid)
     at_modules = [(law, e) for law, e in part.large_losses if law.candidate.where == "modules"]
     assert [e.size for _, e in at_modules] == pytest.approx([0.5, 0.9])
+    begun = {e.shape.onset_s: e.log_occam for e in part.nonlinear_starts(4500.0) if e.candidate.where == "modules"}
+    assert begun[4500.0] < begun[0.0] < 0.0  # any of many onsets is rarer than the beginning
     by_simulation = max(gains(part, [e for _, e in at_modules]))
     assert by_simulation > 1.1 * max(e.gain for _, e in at_modules)
     found = diagnose(pair.network, record, pair_healthy)

@@ -19,7 +19,7 @@ from twin.discovery.effects.open_laws.laws import OpenLaw, laws_of, open_laws
 from twin.discovery.effects.probe import FreeRun, free_run
 from twin.discovery.effects.shapes import EARLY_S, Shape
 from twin.discovery.evidence.priors import SPREAD
-from twin.discovery.evidence.scan import scan
+from twin.discovery.evidence.scan import scan, step_prior
 from twin.discovery.healthy.basis import Basis
 from twin.discovery.places.localise import courses
 from twin.discovery.places.sites import sites_of
@@ -171,7 +171,10 @@ class Part:
                 if since == 0.0 and math.isinf(law.candidate.lumped):
                     continue  # indistinguishable from the lag that a twin of mixed volumes lacks
                 size = entry.size if law.candidate.total_loss else entry.candidate.typical
-                begun = replace(entry, law=law, shape=Shape("step", since), size=size, sd=0.0, gain=0.0, log_bayes=0.0)
+                # The onset has a prior as that of any step; its evidence is known where the scan found it.
+                prior = step_prior(self.score_test, law.candidate, since)
+                occam = entry.log_occam if since == own else prior
+                begun = Entry(law, Shape("step", since), np.empty(0), size, 0.0, 0.0, log_occam=occam)
                 found.append(begun.refreshed(self.score_test))
         return found
 

@@ -198,6 +198,13 @@ def _later_turns(shape: Shape, span_s: float) -> float:
     return math.log(max(span_s / shape.growth_s - 1.0, 1.0) * ALL_ALONG / (1.0 - ALL_ALONG))
 
 
+def step_prior(score_test: ScoreTest, candidate: Candidate, onset_s: float) -> float:
+    """Return the log prior of a step of a law from an onset on, which the record tells to a block."""
+    onsets = Courses.of(score_test).steps.shape[1]
+    begun = ALL_ALONG if onset_s == 0.0 else (1.0 - ALL_ALONG) / max(onsets - 1, 1)
+    return math.log(begun * (AT_ONCE if family_of(candidate) == "any" else 1.0))
+
+
 def _of_laws(scanned: _Scanned, laws: Sequence[CandidateLaw], family: str, turns: bool) -> list[Entry]:
     """Return the likeliest course of each shape of laws of one family."""
     score_test, courses = scanned.score_test, scanned.courses

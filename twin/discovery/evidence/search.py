@@ -291,8 +291,26 @@ def with_nonlinear(
     late = [_with_fit(part, replace(_set(part, (e,), prior), entries=(e,)), fit, misfit) for fit, e in better[:FITTED]]
     if not late and enough > 0.0:
         return found
-    every = sorted([*found, *late], key=lambda h: -h.odds)
+    every = sorted(_once([*found, *late], part.score_test.step_s), key=lambda h: -h.odds)
     return _settled_fits(part, every, misfit) if every else []
+
+
+def _once(hypotheses: Iterable[Hypothesis], step_s: float) -> list[Hypothesis]:
+    """Return the hypotheses, of fits of one law that came to the same size and onset the likelier alone."""
+    kept: list[Hypothesis] = []
+    for h in sorted(hypotheses, key=lambda h: -h.odds):
+        if not any(_same(h, other, step_s) for other in kept):
+            kept.append(h)
+    return kept
+
+
+def _same(one: Hypothesis, other: Hypothesis, step_s: float) -> bool:
+    """Return True if two fits of one effect each came to the same law, size and onset."""
+    if one.fit is None or other.fit is None or len(one.entries) > 1 or one.labels != other.labels:
+        return False
+    (a,), (b,) = one.entries, other.entries
+    alike = a.candidate.id == b.candidate.id and a.shape.name == b.shape.name
+    return alike and abs(a.shape.onset_s - b.shape.onset_s) <= step_s and abs(a.size - b.size) <= max(a.sd, b.sd)
 
 
 def _promising(entries: Iterable[Entry]) -> list[Class]:
