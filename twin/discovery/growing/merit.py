@@ -17,6 +17,7 @@ from twin.discovery.growing.superset.candidate_superset import name_of
 from twin.discovery.scoring.equivalence import width
 from twin.discovery.scoring.search import Entry
 from twin.network import Array
+from twin.quantiles import NORMAL90
 
 LEFT = 1.3
 """Misfit, relative to noise, that a twin with the right effects may leave."""
@@ -120,7 +121,7 @@ class Merit:
             shares = [
                 (share, s)
                 for s in leading
-                if not any(_at_bound(e) for e in s.fit.entries)
+                if not any(_at_bound(s, e) for e in s.fit.entries)
                 for better, share in [self.on_hidden_rows(self._none, s, further=True)]
                 if better >= BETTER_FOLDS and share <= MOSTLY
             ]
@@ -216,7 +217,7 @@ class Merit:
         gain = without.fit.cost - found.fit.cost + self.elsewhere(without) - self.elsewhere(found)
         if gain < NEEDED:
             return f"gains {max(gain, 0.0):.0f} where {NEEDED:.0f} are asked for"
-        if _at_bound(entry):
+        if _at_bound(found, entry):
             return "ends on the bound of what is possible"
         chance = self.chance(without).limit
         if gain < chance:
@@ -295,6 +296,13 @@ def _beyond_noise(one: FittedSet) -> float:
     return max(one.squares - float(np.isfinite(one.problem.samples.measured).sum()), 1e-12)
 
 
-def _at_bound(entry: Entry) -> bool:
-    """Return True also for the least of what the twin has: without a healthy record its value is not known."""
-    return entry.size <= entry.candidate.lower or entry.candidate.at_bound(entry.size)
+def _at_bound(found: FittedSet, entry: Entry) -> bool:
+    """Return True for a size whose 90 % interval reaches a bound beyond which it may lie as well.
+
+    The least of what the twin has counts, too: without a healthy record its value is not known.
+    """
+    size, candidate = entry.size, entry.candidate
+    if size <= candidate.lower or candidate.at_bound(size):
+        return True
+    reach = NORMAL90 * float(found.fit.deviations[found.fit.entries.index(entry)])
+    return candidate.at_bound(size + reach) or (candidate.lower < 0.0 and candidate.at_bound(size - reach))
