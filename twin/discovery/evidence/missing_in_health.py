@@ -225,10 +225,11 @@ def _by_structure_or_health(amounts: Amplitudes) -> list[int]:
 def _may_lack(law: Candidate, size: float) -> bool:
     """Return True if a commissioned twin may have lacked a law of a size within its bounds and, for a share, its prior.
 
-    A pump that delivers a tenth of its command is seen in commissioning. Sizes with units differ by the orders of rigs,
-    and have no such limit.
+    A pump that delivers a tenth of its command is seen in commissioning, and so is a bypass of nearly all of the flow.
+    Sizes with units differ by the orders of rigs, and have no such limit.
     """
-    return law.lower <= size <= law.upper and (law.unit != "1" or abs(size) <= MOST_LACKED * SPREAD * law.typical)
+    is_share = law.unit == "1" or law.unit.startswith("of ")
+    return law.lower <= size <= law.upper and (not is_share or abs(size) <= MOST_LACKED * SPREAD * law.typical)
 
 
 def with_usual(known: Basis, entries: Sequence[Entry]) -> Basis:

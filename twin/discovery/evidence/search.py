@@ -213,12 +213,13 @@ def _fitted(part: Part, known: list[Hypothesis], level: list[Hypothesis], misfit
 
 def _promise(h: Hypothesis, found: list[Hypothesis]) -> float:
     """Return the log odds that a hypothesis may reach by a fit: others of the same claim, or of a part of it, gained as
-    much by theirs.
+    much by theirs. What one of them has lost, another need not lose.
     """
     if h.fit is not None:
         return h.odds
     own = Counter(h.labels)
-    return h.odds + max((f.gained for f in found if f.fit is not None and Counter(f.labels) <= own), default=0.0)
+    gained = (f.gained for f in found if f.fit is not None and Counter(f.labels) <= own)
+    return h.odds + max((0.0, *gained))
 
 
 def _by_promise(found: list[Hypothesis]) -> list[Hypothesis]:
