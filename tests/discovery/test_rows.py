@@ -12,6 +12,8 @@ from tests.discovery.test_fault_hypotheses import slowly
 from tests.discovery.test_thermometers import SENSOR
 from twin.discovery.engine import diagnose
 from twin.discovery.healthy.basis import Columns
+from twin.discovery.records.grid import on_grid
+from twin.discovery.thermometers.members import HealthyDifferences
 from twin.network import Array
 
 RISE, HOT, NAN = np.array([-0.5, 0.0, 0.5]), np.array([-0.5, 1.0, -0.5]), np.full(3, np.nan)
@@ -47,3 +49,18 @@ def test_a_flow_that_fails_is_no_error_at_the_end_of_a_row(pair: Bench, pair_hea
     record = pair.record(14.0, seed=3, changed=pair.with_values(circuit__factor=0.5), onset_h=5.0)
     (effect,) = diagnose(pair.network, in_a_row(pair, record, 6), in_a_row(pair, pair_healthy, 5)).effects
     assert (effect.kind, effect.where) in {("flow", "loop"), ("actuator", "pump_speed")}
+
+
+def test_a_row_that_begins_cold_remembers_no_heat(pair: Bench, pair_healthy: Columns) -> None:
+    """What its first ten minutes differ by is not what the same power makes of it later."""
+    column, network = pair.network.input_columns.index("heater_power_W"), pair.network
+    known, begun = (
+        on_grid(network, r.time_s, r.inputs, r.measured)
+        for r in (pair_healthy, replace(pair, start_C=(22.5, 22.5)).record(10.0, seed=3))
+    )
+    law = HealthyDifferences(network, (column,), np.zeros(1), np.array([0.017]), 240.0, np.eye(4))
+    (rest, cold) = (
+        law.differences(g, g.measured[:, 0], np.arange(len(g.time) + 1))[0, 3] / g.inputs[0, column]
+        for g in (known, begun)
+    )
+    assert rest > 0.8 and cold < 0.2

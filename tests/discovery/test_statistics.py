@@ -95,6 +95,18 @@ def test_blocks_left_out_speak_for_what_is_there_and_against_what_is_not(pair: B
     assert not holds(validate(score_test, model, fit(score_test, model, state)))
 
 
+def test_a_thermometer_that_errs_from_the_beginning_says_nothing_of_a_volume(
+    pair: Bench, pair_healthy: Columns
+) -> None:
+    """Were first readings right to a kelvin, an error of four would have to begin later; a volume may be there."""
+    record = pair.record(6.0, seed=3)
+    grid = on_grid(pair.network, record.time_s, record.inputs, record.measured)
+    known = basis(pair.network, pair_healthy, grid)
+    moved = np.zeros(len(known.prior.mean))
+    moved[known.probe.q :] = 4.0
+    assert 0.5 * float(moved @ known.prior.precision @ moved) < 1.0
+
+
 def test_a_block_that_says_nothing_is_not_asked() -> None:
     assert holds(()) and holds((Fold(0.0, 1.0, 10, 0.5),))
     assert holds((Fold(0.0, 1.0, 10, 0.5), Fold(1.0, 2.0, 10, 40.0)))

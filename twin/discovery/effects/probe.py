@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from twin.commissioning import INITIAL_SD_K
 from twin.discovery.effects.shared_kernels import SharedKernels
 from twin.discovery.records.grid import Grid, centred, filled
 from twin.elements import Parameter
@@ -245,18 +246,19 @@ def posterior(
     """Return the Gaussian posterior of [tunables z, initial state] after a healthy record; `widen` multiplies its
     variance.
 
-    The initial state has the uncertainty of a first reading, since the next record begins in another state.
+    The initial state has the wide prior of commissioning, since the next record begins in another state. Its first
+    readings are data as all others: a thermometer that errs from the beginning says nothing of a volume.
     """
     weight = np.where(np.isfinite(grid.measured), 1.0 / grid.sigma, 0.0)
     j = probe.sensitivities(grid, state) * weight[:, :, None]
     flat = j.reshape(-1, j.shape[2])
     prior_sd = probe.scaling.prior_sd()
-    state_precision = np.full(j.shape[2] - probe.q, 1.0)
+    state_precision = np.full(j.shape[2] - probe.q, INITIAL_SD_K**-2.0)
     precision = flat.T @ flat / inflation + np.diag(np.concatenate([prior_sd**-2.0, state_precision]))
     covariance = np.linalg.inv(precision)[: probe.q, : probe.q] * widen
     limit = prior_sd / np.sqrt(np.diag(covariance))
     covariance = covariance * np.outer(np.minimum(limit, 1.0), np.minimum(limit, 1.0))
-    full = np.eye(probe.q + probe.k)
+    full = np.eye(probe.q + probe.k) * INITIAL_SD_K**-2.0
     full[: probe.q, : probe.q] = np.linalg.inv(covariance)
     values = network.values[probe.scaling.index]
     return GaussianPrior(np.concatenate([probe.scaling.to_z(values), state[: probe.k]]), full)

@@ -187,12 +187,14 @@ class HealthyDifferences:
     """Law of the differences in a row.
 
     It has `weights` (p, c) of an offset, of the excess over the room, alone and over the flow, and of the inputs
-    `released` that heat there follows. These are taken less their means `usual` in health, and `late_s` late.
+    `released` that heat there follows. These are taken less their means `usual` in health, and `late_s` late. A unit of
+    each makes the row `warmer` (d,) by so many K at rest. That tells how much of it a record's beginning remembers.
     """
 
     network: Network
     released: tuple[int, ...]
     usual: Array
+    warmer: Array
     late_s: float
     weights: Array
 
@@ -203,16 +205,18 @@ class HealthyDifferences:
 
     def regressors(self, grid: Grid, mean: Array, edges: np.ndarray) -> Array:
         """Return the regressors (b, p) of blocks."""
-        given_off = grid.inputs[:, list(self.released)] - self.usual
+        columns, length = list(self.network.input_columns), np.diff(edges)[:, None]
+        rows = np.add.reduceat(grid.inputs, edges[:-1], axis=0)[: len(edges) - 1] / length
+        excess = mean - (rows[:, columns.index(self.network.room)] if self.network.room else 0.0)
+        given_off = grid.inputs[:, list(self.released)]
         if self.late_s > 0.0:
+            at_rest, warm = float(given_off[0] @ self.warmer), float(next(iter(excess[np.isfinite(excess)]), np.inf))
+            known = min(max(warm / at_rest, 0.0), 1.0) if at_rest > 0.0 else 1.0
             keep = float(np.exp(-grid.step_s / self.late_s))
-            given_off = np.column_stack([lagged(each.copy(), keep) for each in given_off.T])
-        every = np.column_stack([grid.inputs, given_off])
-        rows = np.add.reduceat(every, edges[:-1], axis=0)[: len(edges) - 1] / np.diff(edges)[:, None]
-        columns = list(self.network.input_columns)
-        room = rows[:, columns.index(self.network.room)] if self.network.room else np.zeros(len(rows))
+            before = np.vstack([known * given_off[:1], given_off])
+            given_off = np.column_stack([lagged(each.copy(), keep)[1:] for each in before.T])
+        own = np.add.reduceat(given_off - self.usual, edges[:-1], axis=0)[: len(edges) - 1] / length
         pump = next((rows[:, j] for j, c in enumerate(columns) if c.startswith("pump")), np.full(len(rows), 100.0))
-        excess, own = mean - room, rows[:, len(columns) :]
         return np.column_stack([np.ones(len(rows)), excess, excess * 100.0 / np.maximum(pump, 5.0), own])
 
 
@@ -222,9 +226,15 @@ def _learned(
     """Return the law of a healthy row, with the lag that fits best; None if the record has too few blocks."""
     named = {column for e in network.elements if e.kind == "heat_source" and node in e.nodes() for column in e.inputs()}
     released = tuple(j for j, column in enumerate(network.input_columns) if column in named)
+    usual, nothing = grid.inputs[:, list(released)].mean(axis=0), np.zeros(len(released))
+    unit = HealthyDifferences(network, released, nothing, nothing, 0.0, np.empty(0)).regressors(grid, mean, edges)
+    known = np.isfinite(unit).all(axis=1)
+    if known.sum() < 3 * unit.shape[1]:
+        return None
+    warmer = np.linalg.lstsq(unit[known][:, 3:], unit[known][:, 1], rcond=None)[0].astype(np.float64)
     best: tuple[float, HealthyDifferences] | None = None
     for late_s in RELEASED_S if released else RELEASED_S[:1]:
-        law = HealthyDifferences(network, released, grid.inputs[:, list(released)].mean(axis=0), late_s, np.empty(0))
+        law = HealthyDifferences(network, released, usual, warmer, late_s, np.empty(0))
         given = law.regressors(grid, mean, edges)
         good = np.isfinite(given).all(axis=1) & np.isfinite(difference).all(axis=1)
         if good.sum() < 3 * given.shape[1]:
