@@ -247,7 +247,7 @@ def posterior(
     variance.
 
     The initial state has the wide prior of commissioning, since the next record begins in another state. Its first
-    readings are data as all others: a thermometer that errs from the beginning says nothing of a volume.
+    readings are data as all others: a sensor bias from the beginning says nothing about a volume.
     """
     weight = np.where(np.isfinite(grid.measured), 1.0 / grid.sigma, 0.0)
     j = probe.sensitivities(grid, state) * weight[:, :, None]
