@@ -16,6 +16,7 @@ import numpy as np
 
 from twin.discovery.effects.laws import CandidateLaw, circuit_of
 from twin.elements.candidates import free_name
+from twin.elements.radiator import Radiator
 from twin.network import Array, Network
 
 SOLID_K_PER_W = tuple(float(f"{0.003 * 1.5**i:.3g}") for i in range(7))
@@ -195,7 +196,10 @@ def _flow_site(network: Network, law: CandidateLaw) -> OpenSite | None:
 
 
 def _loss_site(network: Network, law: CandidateLaw) -> OpenSite | None:
-    """Return the site of a conductance from one node to the room; None without a room or for several nodes."""
+    """Return the site of a conductance from one node to the room; None without a room or for several nodes.
+
+    It may lose less by what the twin has there, fins included: a loss below nothing would be heat from a colder room.
+    """
     c = law.candidate
     room = network.room
     if law.heat is None or not room:
@@ -206,6 +210,8 @@ def _loss_site(network: Network, law: CandidateLaw) -> OpenSite | None:
     node = network.nodes[int(active[0])]
     name = f"loss_{_plain(node)}"
     element = free_name(name, network.elements)
+    fins = [e.name for e in network.elements if isinstance(e, Radiator) and e.node == node]
+    has = sum(network.parameters[f"{each}.UA_100"].value for each in fins) - min(c.lower, 0.0)
     tables = {
         element: {"kind": "law_conductance", "node": node, "ambient": room, "driver": f"open_{name}", "form": "linear"}
     }
@@ -217,7 +223,7 @@ def _loss_site(network: Network, law: CandidateLaw) -> OpenSite | None:
         {f"{element}.gain": 1.0},
         "W/K",
         1.0,
-        -60.0,
+        -min(has, 60.0),
         60.0,
         law.heat,
         None,
