@@ -89,6 +89,7 @@ def sites_of(network: Network, score_test: ScoreTest, laws: Sequence[CandidateLa
             # The linear estimate of a large change of a circuit's flow overshoots: readings go with its inverse.
             vector, holds = score_test.vector(law), anything if circuit else (c.lower, c.upper)
             present = 0.0 if kind[1] == "sensor" or c.change == "new" else _present(network, c)
+            present = max(present, 1.0) if passes else present  # all of the flow
             out[kind[0]] = Site(vector, c.typical, c.unit, kind[1], c.kind, c.where, counts, holds, present)
     return out
 
