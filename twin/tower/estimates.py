@@ -30,10 +30,15 @@ TREND = {"fill": -0.0006, "air": -0.0001, "uniformity": -0.0003, "bias": 0.0, "f
 """Mean change of a day."""
 CLEANED_D = 120.0
 """Days between two cleanings of a cell: some three a year."""
-RATE_SD = {"fill": 0.25 / (2.0 * CLEANED_D)}
+LOST = {"fill": 0.25, "uniformity": 0.15}
+"""Bounds of what scale and plugged nozzles take."""
+RATE_SD = {"fill": LOST["fill"] / (2.0 * CLEANED_D)}
 """Standard deviation of the mean change of a day, a constant of the record: water that scales fast takes the fill's
 bound of 25 % between two cleanings, as two of them. A walk alone has no lasting rate, so it would follow such a fill
 late, and give the rest to the other deviations."""
+CHANGED_D = 30.0
+"""Mean time between two changes of a rate that changes (`change_detection.rates`): water is tested and its treatment
+set anew month by month."""
 JUMP = {"fill": 0.08, "air": 0.06, "uniformity": 0.05, "bias": 0.4, "flow_meter": 0.0}
 """Standard deviation of a jump that an event opens: a cleaning gives back what was lost, a new thermometer is another
 one."""
@@ -72,12 +77,14 @@ class Priors:
     """Bounds of the deviations, and priors of global quantities that replace those of `GLOBALS`: name -> (mean, sd).
 
     `discrepancy`: marginalise its weights. `learned`: mean and covariance of all constants, of a healthy record.
+    `rates`: standard deviations, a day, of rates that change within the record, by deviation.
     """
 
     bounds: Mapping[str, float]
     replaced: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     discrepancy: bool = True
     learned: tuple[Array, Array] | None = None
+    rates: Mapping[str, float] = field(default_factory=dict)
 
     def slow(self, name: str) -> tuple[float, float]:
         """Return mean and standard deviation of a slow deviation."""
@@ -250,18 +257,35 @@ def walk_variance(
 
 
 def walk_precision(
-    edges_s: Array, name: str, openings: Sequence[Opening], unread_d: Array | float = 0.0
+    edges_s: Array, name: str, openings: Sequence[Opening], unread_d: Array | float = 0.0, changing: float = 0.0
 ) -> tuple[Array, Array]:
     """Return the precision (k - 1, k - 1) of a deviation's increments between the cells of a time grid, and their mean.
 
-    An unknown rate is marginalised: it adds a variance that is common to all increments (Sherman & Morrison, Ann. Math.
-    Stat. 21 (1950) 124).
+    Unknown rates are marginalised: one that lasts adds a variance that is common to all increments, one that changes
+    with the standard deviation `changing` a covariance that `rate_covariance` gives.
     """
     variance, drift = walk_variance(edges_s, name, openings, unread_d)
     variance = variance + _LEAST_VARIANCE
     precision = np.diag(1.0 / variance)
-    if name in RATE_SD:
+    if name in RATE_SD or changing > 0.0:
         days = np.diff(0.5 * (edges_s[:-1] + edges_s[1:])) / DAY_S
-        seen = days / variance
-        precision -= np.outer(seen, seen) / (1.0 / RATE_SD[name] ** 2 + float(days @ seen))
+        lasting = RATE_SD.get(name, 0.0) ** 2 * np.outer(days, days)
+        found = np.linalg.inv(np.diag(variance) + lasting + rate_covariance(edges_s, changing))
+        precision = np.asarray(0.5 * (found + found.T))
     return precision, drift
+
+
+def rate_covariance(edges_s: Array, sd: float) -> Array:
+    """Return the covariance of the increments between the cells of a time grid by a rate that is drawn anew at random
+    times, `CHANGED_D` apart on average (k - 1, k - 1).
+
+    Parameters
+    ----------
+    edges_s
+        (k + 1,) s.
+    sd
+        Of the rate, a day.
+    """
+    middle = 0.5 * (edges_s[:-1] + edges_s[1:]) / DAY_S
+    days, at = np.diff(middle), 0.5 * (middle[:-1] + middle[1:])
+    return np.asarray(sd**2 * np.outer(days, days) * np.exp(-np.abs(at[:, None] - at) / CHANGED_D))

@@ -144,7 +144,7 @@ class _Solver:
         precision, linear = np.zeros((n, n)), np.zeros(n)
         for j, name in enumerate(SLOW):
             mean, sd = self.priors.slow(name)
-            inner, drift = walk_precision(self.edges, name, openings, self.unread_d)
+            inner, drift = walk_precision(self.edges, name, openings, self.unread_d, self.priors.rates.get(name, 0.0))
             rows = np.arange(k) * s + j
             precision[rows[0], rows[0]] += 1.0 / sd**2
             linear[rows[0]] += mean / sd**2

@@ -43,6 +43,7 @@ from twin.tower.cell_observations import Label
 from twin.tower.change_detection import (
     Contradiction,
     Step,
+    changing_rate,
     contradictory_steps,
     find_steps,
     jumping_column,
@@ -231,7 +232,8 @@ def fit_with_steps(
     labels: Sequence[Label],
     openings: Sequence[Opening],
 ) -> tuple[Fitted, tuple[Step, ...], tuple[Opening, ...]]:
-    """Fit a cell; where its thermometer has stepped, or a deviation jumped undeclared, fit it again with that opened.
+    """Fit a cell; where its thermometer has stepped, a deviation jumped undeclared, or a rate of loss changed, fit it
+    again with that opened.
 
     Parameters
     ----------
@@ -256,7 +258,10 @@ def fit_with_steps(
     timed = [one for one in jumps if one.parameter == "bias" or one in of_steps]
     known = [one.start_s for one in timed if one.end_s - one.start_s < HALF_DAY_S]
     edges = moved_grid(edges, known)
-    refitted = fit_cell(model, minutes, priors, labels, (*openings, *jumps), edges, fitted.posterior)
+    opened = (*openings, *jumps)
+    refitted = fit_cell(model, minutes, priors, labels, opened, edges, fitted.posterior)
+    if rates := changing_rate(refitted.posterior, opened):
+        refitted = fit_cell(model, minutes, replace(priors, rates=rates), labels, opened, edges, refitted.posterior)
     return refitted, steps, jumps[len(of_steps) :]
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from hil.tower.calibration import station_fit
 from hil.tower.calibration.remarks import step_sentence
-from hil.tower.calibration.station_fit import DRIVEN, undeclared_jumps
+from hil.tower.calibration.station_fit import DRIVEN, fit_with_steps, undeclared_jumps
 from tests.twin.tower.made_cell import made_cell
 from tests.twin.tower.test_calibration import M_W0 as WATER
 from tests.twin.tower.test_calibration import SITE, clean, minutes
@@ -49,3 +49,16 @@ def test_a_step_within_a_stop_has_the_ends_of_the_stop_and_no_minute() -> None:
     assert step_sentence(seen) == "the outlet thermometer or the water stepped by +0.45 K at 2022-08-08T00:00:00Z"
     within = step_sentence(replace(seen, stop_s=1.5 * DAY_S))
     assert "between 2022-08-06T12:00:00Z and 2022-08-08T00:00:00Z, without a steady reading in between" in within
+
+
+def test_a_cell_whose_rate_of_loss_changes_is_fitted_again_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = CellModel(fit_clean_cell(clean(), WATER).design, SITE)
+    read = minutes(made_cell(4, seed=4))
+    record: Any = SimpleNamespace()
+    monkeypatch.setattr(station_fit, "undeclared_jumps", lambda *_: ((), ()))
+    sds = []
+    for rates in ({}, {"fill": 0.008}):
+        monkeypatch.setattr(station_fit, "changing_rate", lambda *_, found=rates: found)
+        fitted, _, _ = fit_with_steps(model, read, record, Priors(BOUNDS), (), ())
+        sds.append(fitted.posterior.sd()[:, 0])
+    assert (sds[1] > sds[0]).all()

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         most_steps,
         spans_beyond,
     )
+    from twin.tower.change_detection.rates import changing_rate
     from twin.tower.change_detection.steps import Step, find_steps, with_fan
 
 
@@ -26,6 +27,7 @@ __all__ = [
     "RATE_D",
     "Contradiction",
     "Step",
+    "changing_rate",
     "contradictory_steps",
     "find_steps",
     "jumping_column",
@@ -48,6 +50,7 @@ __getattr__, __dir__ = lazy_names(
             "most_steps",
             "spans_beyond",
         ),
+        "rates": ("changing_rate",),
         "steps": ("Step", "find_steps", "with_fan"),
     },
 )

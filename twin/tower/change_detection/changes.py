@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from twin.tower.air import Array
 from twin.tower.cell_observations import Label
+from twin.tower.change_detection.rates import increment_scores
 from twin.tower.estimates import (
     DAY_S,
     JUMP,
@@ -35,8 +36,6 @@ from twin.tower.estimates import (
     Opening,
     Priors,
     moved_grid,
-    unread_days,
-    walk_precision,
 )
 from twin.tower.model import SLOW, CellModel
 from twin.tower.smoother import estimate
@@ -191,14 +190,8 @@ def _window(odds: Array, edges: Array, k: int) -> tuple[float, float]:
 
 def _scores(p: Estimate, known: Sequence[Opening], name: str) -> tuple[Array, Array]:
     """Return the scores and the information of a jump between each two cells of the grid (k - 1,)."""
-    read = np.bincount(p.cell[np.isfinite(p.residual)], minlength=len(p.slow)) > 0
-    inner, drift = walk_precision(p.edges_s, name, known, unread_days(p.edges_s, read))
-    rows = np.arange(len(p.slow)) * len(SLOW) + SLOW.index(name)
-    own = p.covariance[np.ix_(rows, rows)]
-    left = own[1:, 1:] + own[:-1, :-1] - own[1:, :-1] - own[:-1, 1:]
-    prior = np.diag(inner)
-    information = np.maximum(prior - ((inner @ left) * inner).sum(axis=1), 1e-6 * prior)
-    return inner @ (np.diff(p.slow[:, SLOW.index(name)]) - drift), information
+    score, information, prior = increment_scores(p, known, name)
+    return score, np.maximum(np.diag(information), 1e-6 * np.diag(prior))
 
 
 def _log_bayes_factor(score: Array, information: Array, name: str) -> Array:
