@@ -35,6 +35,26 @@ def test_steps_of_half_a_kelvin_are_reported_within_18_minutes_in_200_trials() -
     assert (missed, late, wrong) == (0, 0, 0)
 
 
+@pytest.mark.parametrize("hours", [5.0, 10.0, 18.0])
+def test_steps_within_a_day_of_each_other_are_both_found(hours: float) -> None:
+    """A thermometer is exchanged, and the new one steps as well."""
+    t, r = residuals(np.random.default_rng(17), 24 * 7)
+    first, then = 4.5 * DAY_S, 4.5 * DAY_S + hours * 3600.0
+    found = [s for s in find_steps(t, r - 0.35 * (t >= first) + 0.5 * (t >= then)) if s.lasting]
+    assert [s.start_s for s in found] == pytest.approx([first, then], abs=900.0)
+    assert [s.size for s in found] == pytest.approx([-0.35, 0.5], abs=0.12)
+
+
+@pytest.mark.parametrize("hours", [3.5, 6.0, 9.0])
+def test_a_disturbance_of_hours_is_no_step(hours: float) -> None:
+    rng = np.random.default_rng(18)
+    t, r = residuals(rng, 24 * 9)
+    for day in range(8):
+        begin = (day + rng.uniform(0.3, 0.5)) * DAY_S
+        r = r + rng.uniform(0.4, 0.6) * ((t >= begin) & (t < begin + hours * 3600.0))
+    assert not [s for s in find_steps(t, r) if s.lasting]
+
+
 def test_fouling_of_weeks_raises_no_step() -> None:
     rng = np.random.default_rng(12)
     t, r = residuals(rng, 24 * 20)

@@ -131,24 +131,52 @@ def _with_lasting(steps: Sequence[Step], t: Array, r: Array) -> list[Step]:
 
     With a step of size s that difference d is normal about s, without one about 0, in both cases with the usual
     standard deviation u of differences that no step enters. So the log odds of a step rise by (2 d s - s^2) / (2 u^2);
-    those before are the rate of steps over that of reports in this record.
+    those before are the rate of steps over that of reports in this record. A day ends at another step: the level beyond
+    it is another one. Differences of such shorter spans are usual in their own size.
     """
-    at, differences = _differences(t, r)
-    smallest = CONFIRMED * SMALLEST_K
-    days = [_day_difference(t, r, one.start_s) for one in steps]
-    stayed = [min(abs(s.size), abs(d)) >= smallest and s.size * d > 0.0 for s, d in zip(steps, days, strict=True)]
-    away = np.array([np.abs(at - s.start_s) >= DAY_S for s in steps]).reshape(len(steps), len(at))
-    beside_all = away[stayed].all(axis=0)
+    whole = _differences(t, r, DAY_S, DAY_S)
     before = np.log(RATE_D["bias"] * max((t[-1] - t[0]) / DAY_S, 1.0) / max(len(steps), 1))
+    spans = _spans(steps, t, r, whole, before)
+    smallest = CONFIRMED * SMALLEST_K
+    days = [_difference(t, r, one.start_s, *span) for one, span in zip(steps, spans, strict=True)]
+    stayed = [min(abs(s.size), abs(d)) >= smallest and s.size * d > 0.0 for s, d in zip(steps, days, strict=True)]
+    kept = np.array([s.start_s for s, alike in zip(steps, stayed, strict=True) if alike])
     found = []
-    for one, day, alike, apart in zip(steps, days, stayed, away, strict=True):
-        rows = apart & beside_all
+    for one, day, alike, span in zip(steps, days, stayed, spans, strict=True):
+        at, differences = whole if min(span) >= DAY_S else _differences(t, r, *span)
+        apart = np.abs(at - one.start_s) >= DAY_S
+        rows = apart & (np.abs(at[:, None] - kept) >= DAY_S).all(axis=1)
         usual = max(_spread(differences[rows if rows.sum() >= FEWEST_DAYS else apart]), 1e-3)
         odds = before + (2.0 * day * one.size - one.size**2) / (2.0 * usual**2)
         after = (t >= one.start_s) & (t <= one.start_s + CONFIRM_S)
         lasting = alike and after.sum() >= 3 and odds > 0.0
         found.append(replace(one, lasting=bool(lasting)))
     return found
+
+
+def _spans(
+    steps: Sequence[Step], t: Array, r: Array, whole: tuple[Array, Array], before: float
+) -> list[tuple[float, float]]:
+    """Return the time before and after each step whose readings tell whether it stays, s: a day, or up to another
+    report within it where the level moves on at both.
+
+    A level that comes back is a disturbance of hours, which a day outlasts. It moves on where the levels before the
+    first and after the second report differ by a step's odds, with the usual size of the differences `whole` between
+    days that neither enters and the log odds `before`.
+    """
+    starts = np.array([-np.inf, *(one.start_s for one in steps), np.inf])
+    own = np.minimum(np.diff(starts), DAY_S)
+    found = np.full((len(steps), 2), DAY_S)
+    for k in range(len(steps) - 1):
+        first, second = starts[k + 1], starts[k + 2]
+        i, j, m, n = np.searchsorted(t, (first - own[k], first, second, second + own[k + 2]))
+        if own[k + 1] < DAY_S and min(j - i, m - j, n - m) >= FEWEST:
+            net = float(np.median(r[m:n]) - np.median(r[i:j]))
+            apart = (whole[0] <= first - DAY_S) | (whole[0] >= second + DAY_S)
+            usual = max(_spread(whole[1][apart if apart.sum() >= FEWEST_DAYS else slice(None)]), 1e-3)
+            if before + net**2 / (2.0 * usual**2) > 0.0:
+                found[k, 1] = found[k + 1, 0] = own[k + 1]
+    return [(float(one), float(other)) for one, other in found]
 
 
 def _spread(values: Array) -> float:
@@ -198,21 +226,21 @@ def _level_before(t: Array, r: Array, at: Array) -> Array:
     return np.array([np.median(r[a:b]) if b - a >= FEWEST else np.nan for a, b in zip(first, last, strict=True)])
 
 
-def _day_difference(t: Array, r: Array, at: float) -> float:
-    """Return the median of a day's readings from a time on less that of the day before; 0 where either has too few."""
-    first, middle, last = np.searchsorted(t, (at - DAY_S, at, at + DAY_S))
+def _difference(t: Array, r: Array, at: float, before_s: float, after_s: float) -> float:
+    """Return the median of the readings after a time less that of those before it; 0 where either has too few."""
+    first, middle, last = np.searchsorted(t, (at - before_s, at, at + after_s))
     if min(middle - first, last - middle) < FEWEST:
         return 0.0
     return float(np.median(r[middle:last]) - np.median(r[first:middle]))
 
 
-def _differences(t: Array, r: Array) -> tuple[Array, Array]:
-    """Return times every quarter of a day and the differences between the days about them, K; none of a record of less
-    than four days."""
+def _differences(t: Array, r: Array, before_s: float, after_s: float) -> tuple[Array, Array]:
+    """Return times every quarter of a day and the differences between the spans about them, K; none of a record of
+    less than four days."""
     if t[-1] - t[0] < 4.0 * DAY_S:
         return np.zeros(0), np.zeros(0)
     at = np.arange(t[0] + DAY_S, t[-1] - DAY_S, 0.25 * DAY_S)
-    return at, np.array([_day_difference(t, r, one) for one in at])
+    return at, np.array([_difference(t, r, one, before_s, after_s) for one in at])
 
 
 def _with_second(step: Step, t: Array, other: Array, limit: float) -> Step:
