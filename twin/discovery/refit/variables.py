@@ -26,10 +26,10 @@ REACH = 1.0
 """Longest step of a tunable, in standard deviations of a weak prior: derivatives are unreliable beyond, unless they
 held so far."""
 STATE_REACH_K, ONSET_REACH_H, GROWTH_REACH = 5.0, 1.0, 0.7
-"""Longest steps of the state, K, five standard deviations of its prior; of an onset, h; and of the logarithm of a
-growth time, a factor of two."""
+"""Longest steps of the state, K, a standard deviation of its prior; of an onset, h; and of the logarithm of a growth
+time, a factor of two."""
 STATE_BOUND_K = 20.0
-"""Largest change of the initial state, K: twenty standard deviations of its prior, so that it never binds."""
+"""Largest change of the initial state, K: four standard deviations of its prior, so that it hardly binds."""
 GROWN_S = 180.0
 """Shortest growth time, s; quicker growth is a step. A transient may end within a bin."""
 LONGEST_GROWTH = 10.0
@@ -40,6 +40,9 @@ ONSET_STEP, GROWTH_STEP = 6.0, 0.05
 """The same of an onset, in bins, and of the logarithm of a growth time: both are felt beyond the rounding to bins."""
 SHORT = 0.2
 """Largest share of a short transient by which its beginning and end are shifted for derivatives."""
+LEAVES = 0.9
+"""Share of all of a flow with whose loss a fit begins at most: what is left has a tenth of its effect on time
+constants, and a slope."""
 
 
 @dataclass(frozen=True)
@@ -98,10 +101,13 @@ class Variables:
         return slice(0, self.state.stop)
 
     def at_start(self, moved: Array | None) -> Array:
-        """Return v (c,) at the entries' sizes and times; `moved` (q + s * k,) are tunables and state, or 0."""
+        """Return v (c,) at the entries' sizes and times; `moved` (q + s * k,) are tunables and state, or 0.
+
+        A fit that begins with no flow at all finds no way from there. So a flow begins with some of it left.
+        """
         v = np.zeros(self.count)
         v[self.moved] = 0.0 if moved is None else moved
-        v[self.sizes] = [x.size for x in self.entries]
+        v[self.sizes] = [_with_some_left(x) for x in self.entries]
         v[self.onsets] = [self.entries[i].shape.onset_s / 3600.0 for i in self.with_onset]
         v[self.growths] = [np.log(self.entries[i].shape.growth_s / 3600.0) for i in self.with_growth]
         return v
@@ -175,3 +181,9 @@ class Variables:
                 moved_s = grid.span_s if shape.name == "periodic" else shape.growth_s
                 found.append((place, max(moved_s, grid.step_s)))
         return found
+
+
+def _with_some_left(entry: Entry) -> float:
+    """Return the size of an entry, or the largest loss of a flow that still leaves some."""
+    most = LEAVES * entry.candidate.total_loss
+    return most if most and entry.size / most > 1.0 else entry.size
