@@ -11,7 +11,7 @@ from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from hil.testing.bound_limits import BoundLimit, RigSignals, bind
-    from hil.testing.judgement.judge import Judgement, judge_all
+    from hil.testing.judgement import Judgement, judge_all
     from hil.testing.live import LiveTest
     from hil.testing.matrix import Matrix, requirement_matrix
     from hil.testing.plan import Limit, Plan, TestPlanError, read_plan
@@ -56,7 +56,7 @@ __getattr__, __dir__ = lazy_names(
             "RigSignals",
             "bind",
         ),
-        "judgement.judge": (
+        "judgement.judging": (
             "Judgement",
             "judge_all",
         ),

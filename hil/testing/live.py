@@ -15,8 +15,7 @@ import numpy as np
 
 from drivers.signals import Signal
 from hil.testing.bound_limits import BoundLimit
-from hil.testing.judgement.judge import Judgement, holds_always, is_above, judge
-from hil.testing.judgement.verdicts import shown
+from hil.testing.judgement import Judgement, holds_always, is_above, judge, shown
 from hil.testing.limits import Bound, Compared, Follows, NoEffect, NoTrip, Settles, Trips, TwinError
 from hil.testing.plan import Plan
 from hil.testing.run_data import RunData

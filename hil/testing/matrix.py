@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hil.run_folder import RunFolder, RunFolderError, read_verdict
-from hil.testing.judgement.verdicts import Verdict, overall
+from hil.testing.judgement import Verdict, overall
 
 _REFERENCE = re.compile(r"(?=[^\s,;]*\d)[^\s,;]*[^\s,;:]")
 """Reference of a requirement: one word with a digit."""

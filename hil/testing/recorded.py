@@ -5,7 +5,7 @@ from __future__ import annotations
 from hil.journal import JournalReader
 from hil.run_folder import RunFolder
 from hil.testing.bound_limits import bind
-from hil.testing.judgement.judge import judge_all
+from hil.testing.judgement import judge_all
 from hil.testing.plan import Plan, TestPlanError
 from hil.testing.results import TestResult, write_results
 from hil.testing.run_data import read_run, signals_of_run

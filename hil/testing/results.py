@@ -11,8 +11,7 @@ from typing import Any
 
 from hil.files import plain, replacing
 from hil.run_folder import RunFolder, label_texts, read_verdict
-from hil.testing.judgement.judge import Judgement
-from hil.testing.judgement.verdicts import Verdict, overall
+from hil.testing.judgement import Judgement, Verdict, overall
 from hil.testing.limits import Trips, parse
 from hil.testing.plan import Plan
 

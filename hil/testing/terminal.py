@@ -6,7 +6,7 @@ from typing import Any
 
 from hil.files import on_terminal
 from hil.report import earlier_verdicts
-from hil.testing.judgement.judge import Judgement
+from hil.testing.judgement import Judgement
 
 _WORDS = {"pass": "pass", "fail": "FAIL", "inconclusive": "inconclusive"}
 _COUNTS = (("pass", "passed"), ("fail", "failed"), ("inconclusive", "inconclusive"))

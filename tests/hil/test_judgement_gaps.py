@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.testing.judgement.judge import judge
+from hil.testing.judgement.judging import judge
 from hil.testing.run_data import StandingTicks, longest_piece, ticks_within
 from tests.hil.made_plan import bound, made_run
 

@@ -9,7 +9,7 @@ import pytest
 
 from hil.journal import NO_TICK, StateRow
 from hil.run_folder import DiagnosisVerdict
-from hil.testing.judgement.judge import judge
+from hil.testing.judgement.judging import judge
 from hil.testing.run_data import Trip, trips_of
 from tests.hil.made_plan import bound, made_run
 

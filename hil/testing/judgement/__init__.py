@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from hil.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from hil.testing.judgement.judge import Judgement, holds_always, is_above, judge_all
+    from hil.testing.judgement.judging import Judgement, holds_always, is_above, judge, judge_all
     from hil.testing.judgement.verdicts import ORDER, Verdict, overall, shown
 
 
@@ -20,6 +20,7 @@ __all__ = [
     "Verdict",
     "holds_always",
     "is_above",
+    "judge",
     "judge_all",
     "overall",
     "shown",
@@ -28,7 +29,7 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "judge": ("Judgement", "holds_always", "is_above", "judge_all"),
+        "judging": ("Judgement", "holds_always", "is_above", "judge", "judge_all"),
         "verdicts": ("ORDER", "Verdict", "overall", "shown"),
     },
 )
