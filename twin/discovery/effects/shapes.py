@@ -24,7 +24,7 @@ BEYOND = 1.5
 
 @dataclass(frozen=True)
 class Shape:
-    """Time course: `name` step, ramp, saturating, put in, or a transient one (`twin.elements.candidates.INTERMITTENT`).
+    """Time course: `name` step, ramp, saturating, put in, or an intermittent one (`twin.elements.candidates`).
 
     `onset_s` is from the record's beginning, s.
 

@@ -31,15 +31,13 @@ from twin.discovery.healthy.law_amplitudes import Amplitudes, HealthyResidual, M
 from twin.discovery.refit.fitting import Fit
 from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
-from twin.discovery.scoring.structure import Structure
+from twin.discovery.scoring.structure import OF_TIME, Structure
 from twin.elements.candidates import Candidate
 from twin.network import Array
 
 MOST_LACKED = 3.0
 """Largest share that a commissioned twin may have lacked, in standard deviations of its prior, of which 99.7 % is
 within. A judgement."""
-OF_THE_CLOCK = frozenset({"time_of_day", "elapsed_time"})
-"""Drivers that are no state, flow or command of a rig."""
 MOST_LAWS, BEAM = 5, 6
 """Members of a set at most, beside given ones, and sets of each count in the beam. Judgements that bound the time: sets
 of five are common on the zoo's development families, and more were not tried."""
@@ -217,7 +215,7 @@ def _by_structure_or_health(amounts: Amplitudes) -> list[int]:
         precision = float(amounts.precision[i, i])
         gain = 0.5 * float(amounts.score[i]) ** 2 / (precision + width**-2.0)
         shown = math.log(FAULT) + gain - 0.5 * math.log1p(precision * width**2) > 0.0
-        if law.driver not in OF_THE_CLOCK or shown:
+        if law.driver not in OF_TIME or shown:
             found.append(i)
     return found
 

@@ -26,6 +26,7 @@ from twin.discovery.places.sites import sites_of
 from twin.discovery.records.grid import Grid
 from twin.discovery.refit.fitting import AGAIN, ROUNDS, Fit, fit, simulated
 from twin.discovery.refit.model import Model
+from twin.discovery.refit.variables import MOST_LOST
 from twin.discovery.scoring.score_tests import ScoreTest
 from twin.discovery.scoring.search import Entry
 from twin.elements.candidates import Candidate
@@ -46,7 +47,7 @@ offset."""
 MUCH, APART, SIZES = 4.0, 4.0, 3
 """Sizes at which the fit of a lag or delay may begin, in typical ones: the least, their ratio, and how many. For the
 lag of an actuator they are 4 min, 16 min and an hour, its upper bound."""
-LARGE_LOSSES = (0.5, 0.9)
+LARGE_LOSSES = (0.5, MOST_LOST)
 """Shares of a flow with whose loss a fit may begin: without half of it a volume is twice as slow, without nine tenths
 ten times."""
 DEAD_APART_S = 150.0

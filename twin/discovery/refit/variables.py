@@ -40,9 +40,9 @@ ONSET_STEP, GROWTH_STEP = 6.0, 0.05
 """The same of an onset, in bins, and of the logarithm of a growth time: both are felt beyond the rounding to bins."""
 SHORT = 0.2
 """Largest share of a short transient by which its beginning and end are shifted for derivatives."""
-LEAVES = 0.9
-"""Share of all of a flow with whose loss a fit begins at most: what is left has a tenth of its effect on time
-constants, and a slope."""
+MOST_LOST = 0.9
+"""Share of all of a flow with whose loss a fit begins at most: volumes are ten times slower then, and still have a
+slope."""
 
 
 @dataclass(frozen=True)
@@ -103,11 +103,11 @@ class Variables:
     def at_start(self, moved: Array | None) -> Array:
         """Return v (c,) at the entries' sizes and times; `moved` (q + s * k,) are tunables and state, or 0.
 
-        A fit that begins with no flow at all finds no way from there. So a flow begins with some of it left.
+        A fit that begins with no flow at all finds no way from there. So its first start has some of a flow left.
         """
         v = np.zeros(self.count)
         v[self.moved] = 0.0 if moved is None else moved
-        v[self.sizes] = [_with_some_left(x) for x in self.entries]
+        v[self.sizes] = [_with_some_left(x) if moved is None else x.size for x in self.entries]
         v[self.onsets] = [self.entries[i].shape.onset_s / 3600.0 for i in self.with_onset]
         v[self.growths] = [np.log(self.entries[i].shape.growth_s / 3600.0) for i in self.with_growth]
         return v
@@ -185,5 +185,5 @@ class Variables:
 
 def _with_some_left(entry: Entry) -> float:
     """Return the size of an entry, or the largest loss of a flow that still leaves some."""
-    most = LEAVES * entry.candidate.total_loss
+    most = MOST_LOST * entry.candidate.total_loss
     return most if most and entry.size / most > 1.0 else entry.size

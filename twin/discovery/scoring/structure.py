@@ -31,7 +31,8 @@ NAMED, PLAIN = 3, 3.0
 """Laws that a report names at most, and the score from which one is named."""
 SPEAKS = 5.0
 """Log odds from which a record supports offsets at operating points."""
-_OF_TIME = ("elapsed_time", "time_of_day")
+OF_TIME = ("elapsed_time", "time_of_day")
+"""Drivers that are no state, flow or command of a rig."""
 
 
 @dataclass(frozen=True)
@@ -149,4 +150,4 @@ def belongs(candidate: Candidate, score_test: ScoreTest) -> bool:
     error of gain and offset of any size.
     """
     tunable = set(candidate.changes) <= set(score_test.probe.scaling.ids)
-    return candidate.driver not in _OF_TIME and not candidate.has_level and not tunable
+    return candidate.driver not in OF_TIME and not candidate.has_level and not tunable
